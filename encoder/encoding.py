@@ -13,7 +13,7 @@ from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import Output, check_outputs
-from decogs.formats.rigs import Rig, files_of, open_rig
+from decogs.formats.rigs import Rig, files_of, open_rig, without_cameras
 from decogs.formats.threads import thread_count
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
@@ -149,6 +149,7 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     rig = job.rig if isinstance(job.rig, Rig) else open_rig(job.rig)
     for warning in rig.warnings:
         warn(warning)
+    rig = without_cameras(rig, job.exclude)
     span = frame_span(rig, job.frames)
     part = None if job.only is None else part_frames(job.only, span, settings.segment)
     wanted = wanted_effects(job, settings)
@@ -192,6 +193,7 @@ def _facts(job: EncodeJob, work: _Work, ingest: Ingest, settings: EncodeSettings
         "layout": work.rig.layout,
         "cameras": [camera.name for camera in work.rig.cameras],
         "held_out": list(job.holdout),
+        "excluded": list(job.exclude),
         "frames": [frames.start, frames.stop],
         "scale": job.scale,
         "held_out_sizes": ingest.held_out_sizes,

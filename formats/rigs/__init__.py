@@ -27,10 +27,10 @@ from ..pictures import PICTURE_SUFFIXES, Picture
 from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
 from . import colmap, meetroom, n3dv, nerfstudio, rig_json
-from .rig import Points, Rig
+from .rig import Points, Rig, without_cameras
 from .sources import FrameSource, PictureSource, holds_frames, list_folder
 
-__all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_rig", "read_frames"]
+__all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_rig", "read_frames", "without_cameras"]
 
 _Reader = Callable[[], Rig]
 
