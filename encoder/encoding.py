@@ -11,13 +11,14 @@ from typing import Any, BinaryIO
 
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import RigError, UsageError
 from decogs.formats.outputs import Output, check_outputs
 from decogs.formats.rigs import Rig, files_of, open_rig, without_cameras
 from decogs.formats.threads import thread_count
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
+from .analysis.faults import MOVING
 from .backends import check_device
 from .frame.context import Context
 from .input.compositing import background_for
@@ -278,6 +279,9 @@ def _with_effects(
         found = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
         for warning in found.check.warnings():
             warn(warning)
+        moving = [fault for camera in found.check.cameras for fault in camera.faults if fault.word == MOVING]
+        if moving:
+            raise RigError(f"{work.rig.path}: {moving[0]}")
         observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
         return found.decisions
 

@@ -91,7 +91,7 @@ class Analysis:
             "seconds": round(self.seconds, 3),
             "effects": [_finding_json(stats, finding) for finding in self.findings],
             "expected": self.check.expected,
-            "expected_psnr": self.check.psnr,
+            "expected_psnr": _plain(self.check.psnr),
             "advice": self.check.advice(),
             "stage": None if self.stage is None else _plain(asdict(self.stage)),
             "checks": {each.camera: _plain(each.to_json()) for each in self.check.cameras},

@@ -19,10 +19,12 @@ _HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, EARLY, BLURRED, MOVI
 _LEFT_OUT = "or leave it out with --exclude"
 
 BLURRED_BELOW = 0.45
-"""Sharpness, over the cameras' median, below which a camera is out of focus: a blur of 2 pixels leaves .15, sharp cameras
-of one rig have .7 and more."""
+"""Sharpness, over the cameras' median, below which a camera is out of focus: a blur of 2 pixels leaves .15, sharp
+cameras of one rig have .7 and more."""
 _NOISY_TIMES, _NOISY_LEVELS = 3.0, 2.0
 """Noise over the cameras' median, and in levels, from which a camera is noisy."""
+_LATE_FRAMES = 0.5
+"""Frames from which a camera is late or early."""
 EXPOSED_STOPS = 0.6
 """Gain against the median camera, in stops, from which it counts: real rigs have up to .34, which an encode matches."""
 
@@ -79,7 +81,9 @@ def faults_of(found: Findings) -> Iterator[Fault]:
     if found.lost:
         yield fault(DEAD, f"shows nothing in {_frames(found.lost)}", f"see to its cable and exposure, {_LEFT_OUT}")
         return
-    if found.hung:
+    is_blurred = found.sharpness < BLURRED_BELOW
+    # What is out of focus has little noise of its own, too.
+    if found.hung and not is_blurred:
         yield fault(FROZEN, f"repeats one picture in {_frames(found.hung)}", f"record it again, {_LEFT_OUT}")
     if found.moving:
         yield fault(
@@ -91,11 +95,11 @@ def faults_of(found: Findings) -> Iterator[Fault]:
         yield fault(SWAPPED, f"has the pictures of {found.swapped}", "exchange the two files")
     elif found.misplaced:
         yield _misplaced(found)
-    elif found.late and math.isfinite(found.late) and not (found.hung or found.moving):
+    elif abs(found.late) >= _LATE_FRAMES and not (found.hung or found.moving):
         yield _late(found)
-    if found.dropped:
+    if found.dropped and not is_blurred:
         yield fault(DROPPED, f"has no picture of its own in {_frames(found.dropped)}", "look at its recorder")
-    if found.sharpness < BLURRED_BELOW:
+    if is_blurred:
         yield fault(
             BLURRED,
             f"is out of focus: its finest details have {found.sharpness:.0%} of the others' strength",
@@ -134,9 +138,9 @@ def _misplaced(found: Findings) -> Fault:
 
 def _late(found: Findings) -> Fault:
     how, theirs = (LATE, "previous") if found.late > 0 else (EARLY, "next")
-    frames = abs(found.late)
-    by = "one frame" if frames == 1 else f"{frames:g} frames"
-    other = f"{theirs} frame" if frames == 1 else f"frames {frames:g} {'before' if found.late > 0 else 'after'} its own"
+    frames = f"{abs(found.late):.3g}"
+    by = "one frame" if frames == "1" else f"{frames} frames"
+    other = f"{theirs} frame" if frames == "1" else f"frames {frames} {'before' if found.late > 0 else 'after'} its own"
     return Fault(
         how,
         found.camera,

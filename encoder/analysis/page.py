@@ -46,8 +46,8 @@ _HEADINGS = (
 )
 _STYLE = (
     "body{font:15px/1.45 system-ui,sans-serif;max-width:72em;margin:2em auto;padding:0 1em;color:#222;background:#fff}"
-    "table{border-collapse:collapse;font-size:13px}td,th{padding:.3em .6em;border-bottom:1px solid #ddd;text-align:left;"
-    "vertical-align:top}td.n{text-align:right;white-space:nowrap}.wide{overflow-x:auto}svg{max-width:100%;height:auto}"
+    "table{border-collapse:collapse;font-size:13px}td,th{padding:.3em .6em;border-bottom:1px solid #ddd}"
+    "td,th{text-align:left;vertical-align:top}td.n{text-align:right;white-space:nowrap}.wide{overflow-x:auto}svg{max-width:100%;height:auto}"
     "svg text{font-size:12px}ul{padding-left:1.2em}"
 )
 

@@ -31,7 +31,7 @@ _SUSPECT_SHARE = 0.7
 _MAX_SUSPECTS = 6
 _MIN_MORE_ON_LINES = 15
 """Matches that a turn or an exchange puts on their lines, at least, for each camera: by chance up to 6 of 100 ..."""
-_MIN_TIMES_ON_LINES = 1.8
+_MIN_TIMES_ON_LINES = 1.6
 """... and how many times as many as lay there before."""
 _MIN_CONNECTED, _MIN_CONNECTED_SHARE = 8, 0.15
 """Matches on their lines, and their share of all, from which two cameras are connected: by chance 3 to 10 %."""

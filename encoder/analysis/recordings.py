@@ -32,9 +32,13 @@ BANDS = 3
 _SIGMAS = (1.0, 2.0, 4.0)
 """Blurs, in pixels, between which a band lies; the first band begins at the pixel."""
 _LUMA = np.array([0.299, 0.587, 0.114])
-_MAX_CHANGE_SHARE = 0.15
-"""Largest change of a repeat, in shares of the other cameras' median: copies coded as video have up to .1, pictures of
-the quietest of four cameras .27."""
+_MAX_CHANGE_SHARE = 0.25
+"""Largest change of a repeat, in shares of the other cameras' median ..."""
+_MAX_OWN_SHARE, _OWN_QUANTILE = 0.4, 0.9
+"""... and of the camera's own usual change: copies coded as video have up to .24 of either, a real camera's quietest
+picture .46 of its own."""
+_MAX_FROZEN_SHARE = 0.15
+"""Largest median change of a camera that repeats one picture all along, in shares of the others'."""
 _MIN_OTHERS_LEVELS = 0.25
 """Least median change of the others, in levels, against which a repeat shows."""
 _HANGS = 5
@@ -79,7 +83,12 @@ def find_lost(pictures: Sequence[U8]) -> Recordings:
     repeats = np.zeros(changes.shape, bool)
     for camera in range(len(pictures)) if len(pictures) > 2 else ():
         others = np.nan_to_num(_median(np.delete(changes, camera, axis=0)))
-        repeats[camera] = (others >= _MIN_OTHERS_LEVELS) & (changes[camera] < _MAX_CHANGE_SHARE * others)
+        own = changes[camera][np.isfinite(changes[camera])]
+        if len(own):
+            stands = np.median(own) < _MAX_FROZEN_SHARE * np.median(others[1:])
+            usual = np.inf if stands else float(np.quantile(own, _OWN_QUANTILE))
+            quiet = changes[camera] < np.minimum(_MAX_CHANGE_SHARE * others, _MAX_OWN_SHARE * usual)
+            repeats[camera] = quiet & (others >= _MIN_OTHERS_LEVELS)
     return Recordings(blank, repeats)
 
 

@@ -159,7 +159,7 @@ def triangulate(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, N
 
 
 def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> float:
-    """The rotation that explains most offsets, in degrees: a turn by w moves a ray r by w x r."""
+    """The rotation that explains most offsets, in degrees: a camera's turn by w moves a ray r by -w x r."""
     rays, offsets = reprojections(cameras, matches, camera, others)
     if len(rays) < _MIN_TURN_MATCHES:
         return math.nan
@@ -178,9 +178,8 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
     # single performer by no more than their errors is a roll about the place where they are. What few points explain
     # must not take matches off their lines.
     explains = missed < min(_MAX_RESIDUAL_SHARE * size, moved * math.sqrt(len(rays)) / _MIN_MOVED_ERRORS)
-    given, found = (
-        lines.count_on(w) for lines in [Lines.of(cameras, matches, camera, others)] for w in (0 * turn, turn)
-    )
+    lines = Lines.of(cameras, matches, camera, others)
+    given, found = lines.count_on(np.zeros(3)), lines.count_on(-turn)
     explains &= found >= _LEFT_ON_LINES * given
     return math.degrees(size) if explains or not is_turned(cameras[camera], math.degrees(size)) else math.nan
 

@@ -45,8 +45,8 @@ _DENSE_GAP = 16.0
 """Largest median angle, degrees, to the nearest camera in a dense rig."""
 _PSNR = {DENSE: (30, 35), RIGHT: (20, 34), ROUGH: (20, 34), WRONG: (9, 25)}
 """PSNR, dB, of whole pictures of cameras left out. Eight dense rigs have 30.2 to 34.8; of others `mouse_cage` 20.5,
-`stage` 21.9, `green` 32.4; `desk`, `balance` and `assembly_table` 8.7 to 15.7, stages of four to eight cameras 16.8 to 25.7
-(report/rigs.md, DESIGN.md)."""
+`stage` 21.9, `green` 32.4; `desk`, `balance` and `assembly_table` 8.7 to 15.7, stages of four to eight cameras 16.8 to
+25.7 (report/rigs.md, DESIGN.md)."""
 _BASIS = "whole pictures of cameras left out, preset standard, on the 13 rigs measured: a class, no forecast"
 _COLUMNS = 80
 _GRID_SIZE = 16, 12
@@ -91,7 +91,7 @@ class CameraCheck:
             (sum(self.connected.values()) or math.nan, 7, ".0f", ""),
             (self.residual, 7, ".2f", " px"),
             (self.turned, 8, ".2f", " deg"),
-            (self.late, 4, "g", ""),
+            (self.late, 4, ".2g", ""),
         )
         for value, width, as_text, unit in figures:
             yield f"{_or_none(value, as_text, unit):>{width}}"
@@ -206,7 +206,7 @@ def check_rig(stats: RigStatistics, each: Each) -> RigCheck:
             noise=float(noise[row]),
             usual_noise=float(np.median(noise)),
             stops=float(stops),
-            moving=False,
+            moving=stats.moving[row],
         )
         for row, (name, sharp, stops) in enumerate(
             zip(stats.names, _least(sharpness(stats.details, noise)), _stops(stats.mismatch), strict=True)
@@ -273,7 +273,7 @@ def _matches_in_place(stats: RigStatistics, late: F64, each: Each) -> tuple[Matc
 
     Of a late camera, by the frames that show the others' moments.
     """
-    shift = np.nan_to_num(late).astype(int)
+    shift = np.rint(np.nan_to_num(late)).astype(int)
     frames = len(stats.frames)
     begin, end = max(0, -shift.min()), frames - max(0, shift.max())
     moments = [begin + k for k in moments_of(end - begin)] if end > begin else [0]

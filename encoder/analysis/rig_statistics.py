@@ -28,6 +28,7 @@ from ..keyframe.backdrop.stage import PlainStage, find_stage
 from ..parallel import Each, ahead, side_by_side
 from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points
 from .matches import Matches, find_matches
+from .moving import moves_through
 from .recordings import BANDS, Recordings, detail, find_lost
 from .registration import CameraPath, camera_path
 
@@ -54,7 +55,8 @@ class RigStatistics:
     numbers of the analysed frames, every ``step``-th. ``pictures``: per camera (F, H, W, 3) uint8, display-referred.
     ``noise`` (cameras, F): standard deviation of the difference of successive pictures over sqrt 2, in 8-bit levels of
     full-size pixels. ``recordings``: which pictures are lost; ``details`` (cameras, BANDS): of the first pictures, at
-    full size. ``stage``: the plain one of the first frame, seen in these pictures; None where there is none.
+    full size. ``moving``: whether a camera moves through the scene. ``stage``: the plain one of the first frame, seen
+    in these pictures; None where there is none.
     """
 
     cameras: tuple[Camera, ...]
@@ -69,6 +71,7 @@ class RigStatistics:
     matches: Matches
     recordings: Recordings
     details: F64
+    moving: tuple[bool, ...]
     stage: PlainStage | None = None
 
     @property
@@ -105,6 +108,7 @@ def gather_statistics(
         light = own_light(points, lights, list(each(light_overall, pictures)))
         paths = [steps.count(path) for path in each(camera_path, pictures)]
         recordings = find_lost(pictures)
+        moving = tuple(each(moves_through, cameras, pictures, paths))
     return RigStatistics(
         cameras,
         scales,
@@ -118,6 +122,7 @@ def gather_statistics(
         matches,
         recordings,
         details,
+        moving,
         stage,
     )
 

@@ -77,16 +77,14 @@ PICTURES: dict[str, Change] = {
 FAULTS = ("none", "turned", "swapped", *PICTURES)
 
 
-def write_faulty(rig: Rig, fault: str, camera: str, folder: Path, frames: range) -> Path:
-    """The ``frames`` of a rig in a new folder, of which one camera has a fault, or two are ``swapped``: the next, too.
+def with_fault(
+    cameras: Sequence[Camera], pictures: Sequence[U8], fault: str, row: int, before: int = 0
+) -> tuple[list[Camera], list[U8]]:
+    """The cameras and their pictures (F, H, W, 3) with a fault in one of them, or in two that are ``swapped``.
 
-    Frames before the first one are those that a late camera shows.
+    The first ``before`` pictures are for a late camera alone, and left away.
     """
-    folder.mkdir(parents=True)
-    names = [each.name for each in rig.cameras]
-    row = names.index(camera)
-    cameras = list(rig.cameras)
-    files = list(range(len(cameras)))
+    cameras, pictures = list(cameras), list(pictures)
     if fault == "turned":
         turn = cv2.Rodrigues(np.radians(_DEGREES) * np.array([0.6, 0.8, 0.0]))[0]
         pose = cameras[row].world_to_camera.copy()
@@ -94,20 +92,32 @@ def write_faulty(rig: Rig, fault: str, camera: str, folder: Path, frames: range)
         cameras[row] = replace(cameras[row], world_to_camera=pose)
     elif fault == "swapped":
         other = row + 1 if row + 1 < len(cameras) else row - 1
-        files[row], files[other] = other, row
+        pictures[row], pictures[other] = pictures[other], pictures[row]
+    elif fault in PICTURES:
+        early, own = pictures[row][:before], pictures[row][before:]
+        changed = [PICTURES[fault](own, early, frame) for frame in range(len(own))]
+        pictures[row] = np.concatenate([early, np.stack(changed)])
+    return cameras, [own[before:] for own in pictures]
+
+
+def write_faulty(rig: Rig, fault: str, camera: str, folder: Path, frames: range) -> Path:
+    """The ``frames`` of a rig in a new folder, with a fault in one camera; a late one shows the three before, too."""
     before = min(_LATE_FRAMES, frames.start)
-    taken: list[list[U8]] = [[] for _ in names]
+    taken: list[list[U8]] = [[] for _ in rig.cameras]
     for _, pictures in read_frames(rig, frames.start - before, frames.stop):
         for own, picture in zip(taken, pictures, strict=True):
             own.append(np.asarray(picture if picture.dtype == np.uint8 else np.rint(_shown(picture) * 255), np.uint8))
-    for number, own in enumerate(taken):
-        shown = np.stack(own[before:])
-        if number == row and fault in PICTURES:
-            early = np.stack(own[: before + 1])[:before]
-            shown = np.stack([PICTURES[fault](shown, early, frame) for frame in range(len(shown))])
-        write_video(folder / f"{names[number]}.mp4", shown, rig.fps or 30)
-    records = [_record(each, f"{names[files[number]]}.mp4") for number, each in enumerate(cameras)]
-    document = {"fps": rig.fps or 30, "pixel_convention": "(0.5,0.5)", "cameras": records}
+    row = [each.name for each in rig.cameras].index(camera)
+    return write_rig(*with_fault(rig.cameras, [np.stack(own) for own in taken], fault, row, before), folder)
+
+
+def write_rig(cameras: Sequence[Camera], pictures: Sequence[U8], folder: Path) -> Path:
+    """A rig with a video of each camera's pictures (F, H, W, 3)."""
+    folder.mkdir(parents=True)
+    for camera, own in zip(cameras, pictures, strict=True):
+        write_video(folder / f"{camera.name}.mp4", own, 30)
+    records = [_record(camera, f"{camera.name}.mp4") for camera in cameras]
+    document = {"fps": 30, "pixel_convention": "(0.5,0.5)", "cameras": records}
     (folder / "rig.json").write_text(json.dumps(document))
     return folder
 
