@@ -16,7 +16,6 @@ BLURRED, NOISY, EXPOSURE = "blurred", "noisy", "exposure"
 MOVING = "moving"
 
 _HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, EARLY, BLURRED, MOVING}
-_LEFT_OUT = "or leave it out with --exclude"
 
 BLURRED_BELOW = 0.45
 """Sharpness, over the cameras' median, below which a camera is out of focus: a blur of 2 pixels leaves .15, sharp
@@ -75,35 +74,37 @@ def faults_of(found: Findings) -> Iterator[Fault]:
     alone.
     """
 
+    left_out = f"or leave it out with --exclude {found.camera}"
+
     def fault(word: str, looks: str, remedy: str) -> Fault:
         return Fault(word, found.camera, looks, remedy)
 
     if found.lost:
-        yield fault(DEAD, f"shows nothing in {_frames(found.lost)}", f"see to its cable and exposure, {_LEFT_OUT}")
+        yield fault(DEAD, f"shows nothing in {_frames(found.lost)}", f"see to its cable and exposure, {left_out}")
         return
     is_blurred = found.sharpness < BLURRED_BELOW
     # What is out of focus has little noise of its own, too.
     if found.hung and not is_blurred:
-        yield fault(FROZEN, f"repeats one picture in {_frames(found.hung)}", f"record it again, {_LEFT_OUT}")
+        yield fault(FROZEN, f"repeats one picture in {_frames(found.hung)}", f"record it again, {left_out}")
     if found.moving:
         yield fault(
             MOVING,
             "moves through the scene, which no turn of it explains",
-            f"cameras must stand still: fix it, {_LEFT_OUT}",
+            f"cameras must stand still: fix it, {left_out}",
         )
     if found.swapped is not None:
         yield fault(SWAPPED, f"has the pictures of {found.swapped}", "exchange the two files")
     elif found.misplaced:
-        yield _misplaced(found)
+        yield _misplaced(found, left_out)
     elif abs(found.late) >= _LATE_FRAMES and not (found.hung or found.moving):
-        yield _late(found)
+        yield _late(found, left_out)
     if found.dropped and not is_blurred:
         yield fault(DROPPED, f"has no picture of its own in {_frames(found.dropped)}", "look at its recorder")
     if is_blurred:
         yield fault(
             BLURRED,
             f"is out of focus: its finest details have {found.sharpness:.0%} of the others' strength",
-            f"focus it, {_LEFT_OUT}",
+            f"focus it, {left_out}",
         )
     if found.noise >= max(_NOISY_LEVELS, _NOISY_TIMES * found.usual_noise):
         yield fault(
@@ -125,18 +126,18 @@ def verdict_on(faults: Sequence[Fault]) -> str:
     return USABLE if faults else GOOD
 
 
-def _misplaced(found: Findings) -> Fault:
+def _misplaced(found: Findings, left_out: str) -> Fault:
     is_turned = math.isfinite(found.turned)
     how = f"rotated by {found.turned:.1f} degrees" if is_turned else f"misplaced by {found.residual:.1f} pixels"
     return Fault(
         TURNED if is_turned else MISPLACED,
         found.camera,
         f"appears {how} against its calibration: its matches do not fit the other cameras' poses",
-        f"calibrate it again, {_LEFT_OUT}",
+        f"calibrate it again, {left_out}",
     )
 
 
-def _late(found: Findings) -> Fault:
+def _late(found: Findings, left_out: str) -> Fault:
     how, theirs = (LATE, "previous") if found.late > 0 else (EARLY, "next")
     frames = f"{abs(found.late):.3g}"
     by = "one frame" if frames == "1" else f"{frames} frames"
@@ -145,7 +146,7 @@ def _late(found: Findings) -> Fault:
         how,
         found.camera,
         f"appears {by} {how}: its motion matches the other cameras' {other}",
-        f"shift its frames, {_LEFT_OUT}",
+        f"shift its frames, {left_out}",
     )
 
 

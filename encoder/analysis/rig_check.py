@@ -38,8 +38,8 @@ _RIGHT_SEEN_SHARE, _ROUGH_SEEN_SHARE = 0.7, 0.35
 """Least share of a camera's pixels that two others see."""
 _RIGHT_GAP, _ROUGH_GAP = math.radians(20), math.radians(45)
 """Largest angle to the nearest camera that sees the same surface."""
-_CONNECTED_SHARE = 2 / 3
-"""Least share of the cameras that have matches with others, in a rig of known quality."""
+_CONNECTED_SHARE = 0.8
+"""Least share of a dense rig's cameras that have matches with two others: `mouse_cage` has .75."""
 DENSE = "dense"
 _DENSE_GAP = 16.0
 """Largest median angle, degrees, to the nearest camera in a dense rig."""
@@ -174,8 +174,8 @@ class RigCheck:
         return float(np.median(gaps)) if gaps else math.inf
 
     def _connected(self) -> bool:
-        """Whether most cameras have matches with others, which says where they stand."""
-        return sum(bool(camera.connected) for camera in self.cameras) >= _CONNECTED_SHARE * len(self.cameras)
+        """Whether nearly all cameras have matches with two others, which place what they see."""
+        return sum(len(camera.connected) >= 2 for camera in self.cameras) >= _CONNECTED_SHARE * len(self.cameras)
 
     def _why(self) -> str:
         shares = [_known(each.seen_by_two) for each in self.cameras]
@@ -213,7 +213,8 @@ def check_rig(stats: RigStatistics, each: Each) -> RigCheck:
         )
     ]
     matches, swaps = _matches_in_place(stats, late, each)
-    return judge_rig(stats.cameras, matches, late, stats.stage, found=found, swaps=swaps)
+    first = matches if swaps else stats.matches
+    return judge_rig(stats.cameras, first, late, stats.stage, pooled=matches, found=found, swaps=swaps)
 
 
 def judge_rig(
@@ -222,15 +223,18 @@ def judge_rig(
     late: F64,
     stage: PlainStage | None = None,
     *,
+    pooled: Matches | None = None,
     found: Sequence[Findings] | None = None,
     swaps: Sequence[tuple[int, int]] = (),
 ) -> RigCheck:
-    """The check by the matches of the cameras' pictures; ``late`` (cameras,) in frames, NaN where unknown.
+    """The check by the matches of the cameras' first pictures; ``late`` (cameras,) in frames, NaN where unknown.
+
+    ``pooled``: matches of more moments, by which poses are judged.
 
     On a plain ``stage``, whose backdrop has no matches, its surfaces and hull say what the cameras see. ``found``: what
     the pictures tell of the cameras. ``swaps``: cameras with each other's pictures, whose ``matches`` are in place.
     """
-    poses = judge_poses(cameras, matches)
+    poses = judge_poses(cameras, matches if pooled is None else pooled)
     connected = connections(cameras, matches)
     other = {row: cameras[pair[1 - k]].name for pair in swaps for k, row in enumerate(pair)}
     checks = []
