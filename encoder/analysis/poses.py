@@ -30,11 +30,11 @@ _SUSPECT_SHARE = 0.7
 """Share of a camera's matches on their lines, over the cameras' median, below which it is suspected."""
 _MAX_SUSPECTS = 6
 _MIN_MORE_ON_LINES = 15
-"""Matches that a turn or an exchange puts on their lines, at least, for each camera: chance put 11 there (`green`) ..."""
+"""Matches that a turn or an exchange adds on their lines, at least; chance added 11 (`green`) ..."""
 _MIN_TIMES_ON_LINES = 1.6
 """... and how many times as many as lay there before."""
 _MIN_CONNECTED, _MIN_CONNECTED_SHARE = 8, 0.15
-"""Matches on their lines, and their share of all, from which two cameras are connected: chosen, not measured."""
+"""Matches on their lines, and their share of all, that connect two cameras: chosen, not measured."""
 _MIN_SHARE_RISE = 1.25
 """Least share of its matches on their lines, over that before, of each of two cameras that were exchanged."""
 _MISPLACED_PIXELS = 0.5
