@@ -213,6 +213,8 @@ def check_rig(stats: RigStatistics, each: Each) -> RigCheck:
         )
     ]
     matches, swaps = _matches_in_place(stats, late, each)
+    if swaps:  # Light was compared at points that the exchanged pictures do not share.
+        found = [replace(own, stops=math.nan) for own in found]
     first = matches if swaps else stats.matches
     return judge_rig(stats.cameras, first, late, stats.stage, pooled=matches, found=found, swaps=swaps)
 
