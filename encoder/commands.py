@@ -84,6 +84,13 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
     group.add_argument(
+        "--exclude",
+        action="append",
+        default=[],
+        metavar="CAM",
+        help="leave a camera out altogether, such as one that decogs-analyze calls harmful (repeatable)",
+    )
+    group.add_argument(
         "--keyframe",
         metavar="FILE",
         help="start from the keyframe of an earlier encode of this rig (.dgs), or from another trainer's Gaussians "
@@ -362,7 +369,7 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
         option_names[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
-    same = ["settings", "scale", "holdout", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
+    same = ["settings", "scale", "holdout", "exclude", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
     same += ["seed", "threads", "device", "max_memory", "log", "convergence_log"]
     job = EncodeJob(
         rig,

@@ -14,10 +14,20 @@ from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
 from .detection import calibration_files, reader_at
 from .live import open_live
-from .rig import Points, Rig
+from .rig import Points, Rig, without_cameras
 from .sources import FrameSource, PictureSource, list_folder
 
-__all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_live", "open_rig", "read_frames"]
+__all__ = [
+    "FrameSource",
+    "Points",
+    "Rig",
+    "files_of",
+    "files_with",
+    "open_live",
+    "open_rig",
+    "read_frames",
+    "without_cameras",
+]
 
 
 def open_rig(path: str | os.PathLike[str]) -> Rig:

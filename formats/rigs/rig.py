@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras import Camera, scale_camera
-from ..errors import RigError
+from ..errors import RigError, UsageError
 from .sources import FrameSource, PictureSource, natural_key
 
 _SAME_RATE = 5e-4
@@ -101,6 +101,21 @@ def assemble_rig(
         tuple(_warnings(sources)),
         length_unit,
     )
+
+
+def without_cameras(rig: Rig, names: Collection[str]) -> Rig:
+    """The rig without the cameras of these ``names``, as if they had never been there.
+
+    Raises UsageError for a name that no camera has, or where none is left.
+    """
+    unknown = sorted(set(names) - {camera.name for camera in rig.cameras})
+    if unknown:
+        known = ", ".join(camera.name for camera in rig.cameras)
+        raise UsageError(f"`exclude` {unknown[0]}: {rig.path} has no such camera; its cameras are {known}")
+    kept = [k for k, camera in enumerate(rig.cameras) if camera.name not in names]
+    if not kept:
+        raise UsageError(f"`exclude`: no camera of {rig.path} is left; leave at least one")
+    return replace(rig, cameras=tuple(rig.cameras[k] for k in kept), sources=tuple(rig.sources[k] for k in kept))
 
 
 def _warnings(sources: Sequence[FrameSource]) -> Iterator[str]:

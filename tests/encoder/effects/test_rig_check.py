@@ -116,7 +116,7 @@ def test_without_matches_nobody_knows_what_others_see() -> None:
     check = judge_rig(apart, matches_of(apart), UNKNOWN)
     assert check.expected == WRONG
     assert all(math.isnan(camera.seen_by_one) for camera in check.cameras)
-    assert all(line.split()[1:3] == ["-", "-"] for line in list(check.table())[2:])
+    assert all(line.split()[1:3] == ["-", "-"] for line in list(check.table())[-4:])
     (warning,) = check.warnings()
     assert warning.startswith("new views between the cameras will not look right: two other cameras see 0%")
     assert judge_rig(apart[:2], Matches(()), UNKNOWN).expected is None
