@@ -14,7 +14,7 @@ from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from .calibration import calibrated_camera, rigid_pose
 from .colmap import has_model, model_files, read_points
-from .json_fields import Fields, read_json
+from .fields import Fields, read_json
 from .rig import Rig, assemble_rig
 from .sources import open_source
 

@@ -132,6 +132,19 @@ class PictureSource:
         return list(zip(*(column for column in columns if len(set(column)) > 1), strict=True)) or None
 
 
+class ListedPictures(PictureSource):
+    """Pictures whose instants their times or folders tell, whatever numbers are in their names."""
+
+    def frame_numbers(self) -> None:
+        """None: nothing to compare."""
+        return None
+
+
+def open_listed(path: Path, files: Iterable[Path]) -> ListedPictures:
+    """Picture files in the order of their frames, which their names do not tell. Raises RigError."""
+    return ListedPictures(**vars(open_pictures(path, files)))
+
+
 def natural_key(name: str) -> tuple[list[str | int], str]:
     """Sorts cam_2 before cam_10."""
     # Numbers stand at the odd places of the split, so that like is compared with like.
