@@ -30,6 +30,7 @@ from decogs.formats.frame_ranges import frame_range
 from decogs.formats.rigs import Rig, open_rig
 
 from .input.mattes.options import add_matte_options, matte_choice
+from .synchronisation.commands import add_sync_option, rig_in_step
 
 if TYPE_CHECKING:
     from .job import EncodeJob
@@ -78,6 +79,7 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
+    add_sync_option(group)
     group.add_argument(
         "--keyframe",
         metavar="FILE",
@@ -340,7 +342,7 @@ def _check_cluster(options: argparse.Namespace) -> None:
     """Raises UsageError for options that no cluster takes."""
     given = {"only": options.only, "time_budget": options.time_budget, "log": options.log}
     given |= {"convergence_log": options.convergence_log, "output": "-" if options.output == "-" else None}
-    given |= {"max_memory": options.max_memory, "progress_lines": options.progress_lines}
+    given |= {"max_memory": options.max_memory, "progress_lines": options.progress_lines, "sync": options.sync}
     for name, value in given.items():
         if value is not None:
             raise UsageError(f"`cluster`: it does not go with `{name}` {value}; drop one of the two")
@@ -407,18 +409,20 @@ def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObs
 
 
 def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:
-    """The rig, opened where a bitrate needs its frame rate, bytes per frame, and how these were asked for."""
+    """The rig, opened where a bitrate needs its frame rate or its starts matter, bytes per frame, and how these were
+    asked for."""
     bitrate, megabytes = options.bitrate, options.max_mb_per_frame
     if bitrate is not None and megabytes is not None:
         raise UsageError("--bitrate and --max-mb-per-frame are one budget in two units; drop one of the two")
+    rig = options.rig_dir if options.sync is None else rig_in_step(options)
     if bitrate is not None:
-        rig = open_rig(options.rig_dir)
+        rig = rig if isinstance(rig, Rig) else open_rig(rig)
         if rig.fps is None:
             raise UsageError(f"--bitrate: {rig.path} states no frame rate; use --max-mb-per-frame")
         return rig, *_asked(bitrate * 1000 / 8 / rig.fps, "--bitrate", bitrate)
     if megabytes is not None:
-        return options.rig_dir, *_asked(megabytes * 1e6, "--max-mb-per-frame", megabytes)
-    return options.rig_dir, None, {"`bytes_per_frame`": "--max-mb-per-frame or --bitrate"}
+        return rig, *_asked(megabytes * 1e6, "--max-mb-per-frame", megabytes)
+    return rig, None, {"`bytes_per_frame`": "--max-mb-per-frame or --bitrate"}
 
 
 def _asked(bytes_per_frame: float, option: str, value: float) -> tuple[float, dict[str, str]]:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
 
 from ..keyframe.backdrop.stage import PlainStage
+from ..synchronisation.starts import frames_late
 from .matches import Matches
 from .reprojection import MAX_RAYS_ANGLE, epipolar_residuals, is_turned, triangulate, turns
-from .rig_statistics import RigStatistics, typical_noise
+from .rig_statistics import RigStatistics
 from .stage_check import first_met
-from .synchrony import delays
 
 F64 = NDArray[np.float64]
 
@@ -78,12 +78,15 @@ class RigCheck:
                     f"camera {camera.camera} appears {how} against its calibration: its matches do not fit the other "
                     "cameras' poses; calibrate it again, or leave it out"
                 )
-            if camera.late in (-1, 1):
-                how, theirs = ("late", "previous") if camera.late > 0 else ("early", "next")
-                yield (
-                    f"camera {camera.camera} appears one frame {how}: its motion matches the other cameras' {theirs} "
-                    "frame; shift its frames, or leave it out"
-                )
+        off = sorted((each for each in self.cameras if abs(each.late) >= 0.5), key=lambda each: -abs(each.late))
+        if off:
+            others, most = (f" and {len(off) - 1} more", "up to ") if len(off) > 1 else ("", "")
+            how = "late" if off[0].late > 0 else "early"
+            frames = f"{abs(off[0].late):.3g} frame{'s'[: abs(off[0].late) != 1]}"
+            yield (
+                f"camera {off[0].camera}{others} appears {most}{frames} {how} against the others; find out when each "
+                "one started (decogs-sync), or encode with --sync auto"
+            )
         if self.expected == WRONG:
             yield f"{_EXPECTATIONS[WRONG]}: {self._why()}; add cameras in between"
 
@@ -99,7 +102,7 @@ class RigCheck:
                 (each.gap, 12, ".0f", " deg"),
                 (each.residual, 17, ".2f", " px"),
                 (each.turned, 9, ".2f", " deg"),
-                (each.late, 11, ".0f", ""),
+                (each.late, 11, ".3g", ""),
             )
             cells = [f"{_or_none(value, as_text, unit):>{width}}" for value, width, as_text, unit in figures]
             yield "  ".join([f"{each.camera:<20}", *cells])
@@ -113,11 +116,7 @@ class RigCheck:
 
 def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) -> RigCheck:
     """Judges a rig by its calibration, the matches of its first pictures, and those of what moves."""
-    late = np.full(len(stats.cameras), np.nan)
-    if stats.step == 1:
-        noise = typical_noise(stats.noise).tolist()
-        steady = [not path.shakes for path in stats.paths]
-        late = delays(stats.cameras, stats.pictures, steady, noise, each)
+    late = stats.step * frames_late(stats.cameras, stats.pictures, each)
     return judge_rig(stats.cameras, stats.matches, late, stats.stage)
 
 
