@@ -110,7 +110,8 @@ def frames_late(cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]
     clips = [(small_grey(picture, to) for picture in own) for own, to in zip(pictures, small, strict=True)]
     starts = whole_if_in_step(starts_by_motion(small, clips, each)).starts
     there = starts[np.isfinite(starts)]
-    return (there[usual(np.round(there).tolist())] if len(there) else 0.0) - starts
+    ordinary = there[usual(np.round(there).tolist())] if len(there) else 0.0
+    return ordinary - starts + 0.0  # not -0
 
 
 def known(joint: Joint) -> NDArray[np.bool_]:

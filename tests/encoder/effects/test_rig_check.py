@@ -133,7 +133,5 @@ def test_without_matches_nobody_knows_what_others_see() -> None:
 def test_cameras_out_of_step_are_named_in_one_line(late: dict[int, float], said: list[str]) -> None:
     cameras = looking_in(ARC)
     found = np.array([late.get(number, 0.0) for number in range(len(cameras))])
-    named = [
-        warning for warning in judge_rig(cameras, matches_of(cameras), found).warnings() if "decogs-sync" in warning
-    ]
-    assert [warning.split(" against")[0] for warning in named] == said
+    warnings = judge_rig(cameras, matches_of(cameras), found).warnings()
+    assert [text.split(" against")[0] for text in warnings if "decogs-sync" in text] == said
