@@ -18,7 +18,7 @@ from decogs.encoder.synchronisation.commands import sync_main
 from decogs.encoder.synchronisation.joint import Joint
 from decogs.encoder.synchronisation.motion import starts_by_motion
 from decogs.encoder.synchronisation.sound import starts_by_sound
-from decogs.encoder.synchronisation.starts import frames_late, joined, whole_if_in_step
+from decogs.encoder.synchronisation.starts import frames_late, joined, known, whole_if_in_step
 from decogs.formats.cameras import Camera, project
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_recordings, open_rig
@@ -206,7 +206,9 @@ def test_sound_tells_fractions_with_its_way_to_each_camera_taken_off() -> None:
         way = 3.2 * far[number] / 343
         times = [time - starts[number] + way for time in (0.8, 1.7, 2.2)]
         rng = np.random.default_rng(50 + number)
-        sounds.append(Sound(claps(3, times, rng, rate=RATE, gain=rng.uniform(0.2, 2)), 0.0))
+        delay = 0.1 * (number % 3)  # of the sound track after the pictures
+        heard_at = [time - delay for time in times]
+        sounds.append(Sound(claps(3, heard_at, rng, rate=RATE, gain=rng.uniform(0.2, 2)), delay))
     sounds[4] = None
     sounds[7] = Sound(np.random.default_rng(1).normal(0, 0.01, 3 * RATE).astype(np.float32), 0.0)
     found = starts_by_sound(cameras, sounds, 1.0)
@@ -277,6 +279,11 @@ def test_timecode_goes_first_unless_an_editor_wrote_it(tmp_path: Path) -> None:
 )
 def test_timecodes_count_frames(timecode: str, fps: float, frames: int | None) -> None:
     assert frames_since_midnight(timecode, fps) == frames
+
+
+def test_starts_that_pairs_contradict_or_that_may_be_a_frame_off_are_not_believed() -> None:
+    found = Joint(np.zeros(4), np.array([0.2, 0.2, 0.7, np.nan]), np.array([0.8, 0.6, 1.0, 1.0]))
+    assert known(found).tolist() == [True, False, False, False]
 
 
 def test_ways_are_tied_by_the_cameras_that_both_know() -> None:

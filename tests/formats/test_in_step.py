@@ -101,9 +101,9 @@ def test_picture_folders_are_read_in_step_by_their_files(tmp_path: Path, make: A
 
 def test_mattes_follow_the_recording_of_their_camera(tmp_path: Path, make: Any) -> None:
     rig = open_rig(written(tmp_path / "rig", make, [0, 2, 1]))
-    for name in ("cam00", "cam02"):
+    for name in ("cam01", "cam02"):
         make.video(tmp_path / "masks" / f"{name}.mp4", frames=LENGTH)
-    make.pictures(tmp_path / "masks" / "cam01", frames=LENGTH)
+    make.pictures(tmp_path / "masks" / "cam00", frames=LENGTH)
     mattes = matte_rig(tmp_path / "masks", rig, ["cam00", "cam01", "cam02"], range(3))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("decogs.formats.mattes.per_frame._without_colour", lambda path, matte: matte)
