@@ -27,7 +27,7 @@ from decogs.formats.command_line import (
 )
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.frame_ranges import frame_range
-from decogs.formats.rigs import Rig, open_rig
+from decogs.formats.rigs import Rig, open_live, open_rig
 
 from .input.mattes.options import add_matte_options, matte_choice
 from .synchronisation.commands import add_sync_option, rig_in_step
@@ -49,10 +49,15 @@ def encode_parser() -> Parser:
     parser = Parser(
         prog="decogs-encode",
         description="Encode a rig of synchronised, calibrated cameras as a stream of 3D Gaussians.",
-        epilog="Layouts: N3DV, MeetRoom, COLMAP, nerfstudio transforms.json, rig.json. Ctrl-C ends the stream early "
-        "but whole.",
+        epilog="Layouts: N3DV, MeetRoom, COLMAP, nerfstudio transforms.json, rig.json, more in docs/rig.md. "
+        "Ctrl-C ends the stream early but whole.",
     )
-    parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
+    parser.add_argument("rig_dir", nargs="?", help="the rig's folder, or one calibration file or folder inside it")
+    parser.add_argument(
+        "--live",
+        metavar="FILE",
+        help="instead of a rig: encode pictures while cameras record them; FILE, in TOML, says where they appear",
+    )
     parser.add_argument(
         "-o",
         "--output",
@@ -340,7 +345,7 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
 
 def _check_cluster(options: argparse.Namespace) -> None:
     """Raises UsageError for options that no cluster takes."""
-    given = {"only": options.only, "time_budget": options.time_budget, "log": options.log}
+    given = {"live": options.live, "only": options.only, "time_budget": options.time_budget, "log": options.log}
     given |= {"convergence_log": options.convergence_log, "output": "-" if options.output == "-" else None}
     given |= {"max_memory": options.max_memory, "progress_lines": options.progress_lines, "sync": options.sync}
     for name, value in given.items():
@@ -408,21 +413,38 @@ def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObs
         raise
 
 
+def _rig(options: argparse.Namespace) -> Rig | str:
+    """The rig's folder, or the rig whose cameras are recording, with the effects that frames decide for themselves."""
+    from .settings.effects import PRESET_EFFECTS
+
+    if (options.rig_dir is None) == (options.live is None):
+        raise UsageError("give a rig's folder, or `live` and the file of the cameras that are recording")
+    if options.live is None:
+        return str(options.rig_dir) if options.sync is None else rig_in_step(options)
+    if options.sync is not None:
+        raise UsageError(f"`live`: it does not go with `sync` {options.sync}; drop one of the two")
+    if options.effects is None:
+        options.effects = ",".join(PRESET_EFFECTS)
+    if options.effects.startswith("auto"):  # which looks at frames of the whole take
+        raise UsageError(f"`effects` {options.effects}: a recording that goes on cannot be analysed; name the effects")
+    return open_live(options.live)
+
+
 def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:
     """The rig, opened where a bitrate needs its frame rate or its starts matter, bytes per frame, and how these were
     asked for."""
     bitrate, megabytes = options.bitrate, options.max_mb_per_frame
     if bitrate is not None and megabytes is not None:
         raise UsageError("--bitrate and --max-mb-per-frame are one budget in two units; drop one of the two")
-    rig = options.rig_dir if options.sync is None else rig_in_step(options)
+    given = _rig(options)
     if bitrate is not None:
-        rig = rig if isinstance(rig, Rig) else open_rig(rig)
+        rig = open_rig(given) if isinstance(given, str) else given
         if rig.fps is None:
             raise UsageError(f"--bitrate: {rig.path} states no frame rate; use --max-mb-per-frame")
         return rig, *_asked(bitrate * 1000 / 8 / rig.fps, "--bitrate", bitrate)
     if megabytes is not None:
-        return rig, *_asked(megabytes * 1e6, "--max-mb-per-frame", megabytes)
-    return rig, None, {"`bytes_per_frame`": "--max-mb-per-frame or --bitrate"}
+        return given, *_asked(megabytes * 1e6, "--max-mb-per-frame", megabytes)
+    return given, None, {"`bytes_per_frame`": "--max-mb-per-frame or --bitrate"}
 
 
 def _asked(bytes_per_frame: float, option: str, value: float) -> tuple[float, dict[str, str]]:

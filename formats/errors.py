@@ -16,6 +16,10 @@ class RigError(DecogsError):
     """A rig folder that cannot be read as synchronised, calibrated cameras."""
 
 
+class RecordingEnded(RigError):
+    """Cameras that were recording bring no new frame: the frames read until then are all there are."""
+
+
 class UsageError(DecogsError):
     """Options or arguments that do not fit together, or do not fit the input."""
 

@@ -28,7 +28,7 @@ MAX_PIXELS = 1 << 28
 MAX_PROFILE = 4 << 20
 """Bytes of an ICC profile that is looked at; those for printing, the largest, have 2 MiB."""
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _IN_JPEG = b"ICC_PROFILE\0"
 
@@ -93,7 +93,7 @@ def damaged(path: Path, what: str) -> RigError:
 
 
 def _png_header(path: Path, data: bytes) -> PictureHeader:
-    if data[:8] != _PNG_SIGNATURE or data[12:16] != b"IHDR":
+    if data[:8] != PNG_SIGNATURE or data[12:16] != b"IHDR":
         raise damaged(path, "this is not a PNG file")
     width, height = struct.unpack_from(">II", data, 16)
     said = dict(_png_chunks(data))

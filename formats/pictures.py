@@ -31,7 +31,10 @@ from .picture_headers import (
 from .quiet import quiet_opencv
 from .regular_files import open_regular
 
-__all__ = ["MAX_PIXELS", "PICTURE_SUFFIXES", "Picture", "PictureFacts", "picture_facts", "read_alpha", "read_picture"]
+__all__ = [
+    "MAX_PIXELS", "PICTURE_SUFFIXES", "Picture", "PictureFacts", "decode_picture", "picture_facts", "read_alpha",
+    "read_picture",
+]  # fmt: skip
 
 Picture: TypeAlias = NDArray[np.uint8] | NDArray[np.float32]
 """(H, W, 3) RGB, C-contiguous: uint8 display-referred (sRGB-coded), or float32 scene-linear."""
@@ -58,7 +61,11 @@ def read_picture(path: Path) -> Picture:
     is returned in its display window.
     Raises RigError if the file is missing, damaged, of another kind, or holds a NaN or infinite pixel.
     """
-    data = _read_bytes(path)
+    return decode_picture(path, _read_bytes(path))
+
+
+def decode_picture(path: Path, data: bytes) -> Picture:
+    """The picture in the bytes of a file, whose name says by its ending what they are; as ``read_picture``."""
     header = read_header(path, data)
     if path.suffix.lower() == ".exr":
         return read_exr(path, data, header.width, header.height)

@@ -61,7 +61,7 @@ def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
     if not 0 <= quality <= 100:
         raise UsageError(f"`quality` {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
     factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
-    significance = _scale(settings.frame.significance, factor)
+    significance = scaled_significance(settings.frame.significance, factor)
     rd_lambda = _round_loss(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
     return replace(
         settings,
@@ -126,7 +126,7 @@ class RateControl:
 
     def significance(self, settings: SignificanceSettings) -> SignificanceSettings:
         """The settings for the next frame: its threshold, and lambdas to match."""
-        return _scale(settings, self.factor)
+        return scaled_significance(settings, self.factor)
 
     def after(self, kind: int, size: int) -> RateControl:
         """The control after a packet other than the first keyframe's: its PacketKind and its bytes on disk.
@@ -161,7 +161,7 @@ class RateControl:
         return min(max((share + saved / _BYTES_HORIZON_FRAMES) / self.budget, low * share / self.budget), high)
 
 
-def _scale(settings: SignificanceSettings, factor: float) -> SignificanceSettings:
+def scaled_significance(settings: SignificanceSettings, factor: float) -> SignificanceSettings:
     """The settings with threshold and lambdas multiplied by ``factor``."""
     return replace(
         settings,

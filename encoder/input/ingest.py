@@ -167,7 +167,8 @@ class Ingest:
         """The rig's frames [start, stop) in order, one at a time."""
         names, count = [*self._names, *self._held_names], len(self._names)
         given = self._mattes.given(names, start, stop)
-        for (index, pictures), mattes in zip(read_frames(self.rig, start, stop, names=names), given, strict=True):
+        # Not strict: a recording may end before.
+        for (index, pictures), mattes in zip(read_frames(self.rig, start, stop, names=names), given, strict=False):
             recorded = self._digests(pictures, mattes) if index == start else {}
             shown = zip(names, pictures, strict=True)
             cut = [self._mattes.cut(name, picture, mattes.get(name)) for name, picture in shown]

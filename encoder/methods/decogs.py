@@ -29,6 +29,11 @@ _LIGHT_ONLY_FACTOR = 4.0
 """Of the significance threshold, for places, sizes and turns of what light alone changes in a frame in which others
 move: they keep to colour and opacity. Without it `stage` takes 7 % more bytes at the same quality."""
 
+_SMOOTHED_AT, _SMOOTHING_NEIGHBOURS = (0.25, 0.5), 16
+"""Shares of the steps after which displacements are smoothed over so many neighbours, where free space is known: on a
+stage, Gaussians are dense on the performers. Without it `grey` loses .27 dB where things move and takes a fifth more
+bytes. Elsewhere it costs: `panoptic_basketball`, where sixteen neighbours span two legs, -.8 dB."""
+
 _MAX_PROBE_VIEWS = 4
 """Views whose error is measured when time is short: each is rendered twice, which takes as long as a step."""
 
@@ -81,6 +86,13 @@ def _start_warm(work: WorkingSet, frame: FrameInput) -> None:
         work.optimiser.put(means=means + share * shared_displacements(means, motion))
 
 
+def _smooth_displacements(work: WorkingSet) -> None:
+    """Replaces the displacements so far by the medians of their neighbourhoods; new Gaussians stay."""
+    old = np.flatnonzero(work.old)
+    before, now = work.before().means[old], work.values.means[old]
+    work.optimiser.put(old, means=before + shared_displacements(before, now - before, _SMOOTHING_NEIGHBOURS))
+
+
 def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequence[int]) -> float:
     """Factor of this frame's iterations."""
     if not training.settings.adaptive_iterations.usual_miss:
@@ -93,9 +105,12 @@ def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequenc
 def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, growth: _Growth) -> None:
     """Trains the Gaussians' values to the end of the schedule, or until the target quality is reached."""
     end = _End(training, work)
+    smoothed_at = () if training.frame.free is None else _SMOOTHED_AT
     for step in training.steps("joint"):
         if schedule.is_over:
             break
+        if any(schedule.reaches(round(at * training.settings.joint_iterations)) for at in smoothed_at):
+            _smooth_displacements(work)
         growth.before(schedule)
         gradients = training.gradients(step, work, work.optimiser)
         growth.after(schedule, gradients, step.view)

@@ -1,18 +1,22 @@
-"""Checks that every calibration goes through: a rigid pose, sane intrinsics."""
+"""Checks that every calibration goes through: a rigid pose, sane intrinsics; and OpenCV's way to write both."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..cameras import MAX_SIDE, Camera, DistortionModel, as_pinhole, is_distorted, turned
 from ..errors import RigError
-from ..rotations import is_orthonormal
+from ..rotations import is_orthonormal, rotation_rows
 
 _RIGID_TOLERANCE = 1e-3
 """How far R R^T may be from the identity: calibration files carry as few as 4 digits."""
+
+_LEAST_SKEW = 1e-6
+"""As a share of the focal length: a hundredth of a pixel in a picture of 8000."""
 
 
 def rigid_pose(matrix: ArrayLike, where: str) -> NDArray[np.float64]:
@@ -60,6 +64,69 @@ def invert_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     inverse[:3, :3] = pose[:3, :3].T
     inverse[:3, 3] = -turned(pose[:3, :3].T, pose[:3, 3])
     return inverse
+
+
+def vector_pose(rotation: ArrayLike, translation: ArrayLike, where: str) -> NDArray[np.float64]:
+    """The pose (4, 4) of a rotation vector (3,), its angle in radians, or matrix (3, 3), and a translation (3,).
+
+    Raises RigError, starting with ``where``, as ``rigid_pose`` does, and for another number of values.
+    """
+    turn, shift = (np.asarray(values, np.float64).ravel() for values in (rotation, translation))
+    if turn.size not in (3, 9) or shift.size != 3:
+        raise RigError(f"{where}: the pose has {turn.size} and {shift.size} values, not 3 or 9 and 3; correct the file")
+    matrix = turn.reshape(3, 3) if turn.size == 9 else _turn_about(turn)
+    return rigid_pose(np.hstack([matrix, shift[:, None]]), where)
+
+
+def _turn_about(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    import cv2
+
+    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
+
+
+def quaternion_pose(quaternion: Sequence[float], translation: ArrayLike, where: str) -> NDArray[np.float64]:
+    """The pose (4, 4) of a quaternion (w, x, y, z), of any norm, and a translation (3,). Raises as ``rigid_pose``."""
+    q = np.array(quaternion, np.float64)
+    norm = float(np.linalg.norm(q)) if np.isfinite(q).all() and np.abs(q).max() < 1e100 else 0.0
+    if norm < 1e-6:
+        raise RigError(f"{where}: the pose is singular (rotation quaternion {tuple(quaternion)}); export it again")
+    return vector_pose(rotation_rows(*(q / norm)), translation, where)
+
+
+FIRST_PIXEL_AT_0 = 0.5
+"""To add to a principal point that counts from the centre of the first pixel, as OpenCV's calibration does."""
+
+
+def opencv_camera(
+    name: str,
+    size: tuple[int, int],
+    matrix: ArrayLike,
+    distortion: ArrayLike,
+    world_to_camera: NDArray[np.float64],
+    where: str,
+    *,
+    shift: float = FIRST_PIXEL_AT_0,
+    is_fisheye: bool = False,
+) -> Camera:
+    """A camera as OpenCV describes it: camera matrix (3, 3), and 4, 5, 8, 12 or 14 coefficients, a fisheye's 4.
+
+    Zeros after the coefficients that a Camera has are dropped. ``shift`` is added to the principal point. Raises
+    RigError, starting with ``where``, also for a skewed matrix and for a lens of thin prisms or a tilted sensor.
+    """
+    numbers = np.asarray(matrix, np.float64).ravel()
+    if numbers.size != 9:
+        raise RigError(f"{where}: the camera matrix has {numbers.size} values, not 9; correct the file")
+    fx, skew, cx, zero, fy, cy, *last = (float(number) for number in numbers)
+    if not (abs(skew) <= _LEAST_SKEW * abs(fx) and zero == 0 and last == [0, 0, 1]):
+        raise RigError(f"{where}: the camera matrix is not [fx 0 cx; 0 fy cy; 0 0 1]; calibrate without skew")
+    coefficients = tuple(float(number) for number in np.asarray(distortion, np.float64).ravel())
+    kept = 4 if is_fisheye else 8
+    if any(coefficients[kept:]) or len(coefficients) not in ((0, 4) if is_fisheye else (0, 4, 5, 8, 12, 14)):
+        lens = "a fisheye has 4" if is_fisheye else "only k1 k2 p1 p2 k3 k4 k5 k6 are read"
+        raise RigError(f"{where}: {len(coefficients)} distortion coefficients, but {lens}; undistort the pictures")
+    model: DistortionModel = "fisheye" if is_fisheye else "opencv"
+    intrinsics = (fx, fy, cx + shift, cy + shift)
+    return calibrated_camera(name, size, intrinsics, world_to_camera, model, coefficients[:kept], where)
 
 
 def calibrated_camera(

@@ -12,7 +12,7 @@ import codecs
 import os
 import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -23,13 +23,13 @@ from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
 from ..regular_files import open_regular
-from ..rotations import rotation_rows
 from ..videos import VIDEO_SUFFIXES
-from .calibration import calibrated_camera, rigid_pose
+from .calibration import calibrated_camera, quaternion_pose
 from .rig import Points, Rig, assemble_rig
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, open_source, refuse_unknown_kinds
 
 LAYOUT = "colmap"
+MULTIPLE_VIEW = "sparse_"
 
 _MODEL_NAMES = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
@@ -68,6 +68,7 @@ class ModelledCamera:
 class PosedImage:
     """One entry of the images file: world_to_camera is (4, 4), rigid."""
 
+    image_id: int
     name: str
     camera_id: int
     world_to_camera: NDArray[np.float64]
@@ -84,16 +85,17 @@ def model_files(folder: Path) -> list[Path]:
 
 
 def find_model(folder: Path) -> Path | None:
-    """The first of sparse/0, sparse/1 ..., sparse and the folder itself that holds a model."""
+    """The first of sparse/0, sparse/1 ..., sparse, the folder itself and 4DGaussians' sparse_ that holds a model."""
     sparse = folder / "sparse"
-    return next((model for model in (*_numbered_models(sparse), sparse, folder) if has_model(model)), None)
+    models = (*_numbered_models(sparse), sparse, folder, folder / MULTIPLE_VIEW)
+    return next((model for model in models if has_model(model)), None)
 
 
 def rig_folder_of(model: Path) -> Path:
     """The folder a model belongs to: the one that holds sparse/0 (or another number) or sparse, or else its own."""
     if model.name.isdecimal() and model.parent.name == "sparse":
         return model.parent.parent
-    return model.parent if model.name == "sparse" else model
+    return model.parent if model.name in ("sparse", MULTIPLE_VIEW) else model
 
 
 def _numbered_models(sparse: Path) -> list[Path]:
@@ -101,16 +103,20 @@ def _numbered_models(sparse: Path) -> list[Path]:
     return [entry for entry in list_folder(sparse) if entry.name.isdecimal() and has_model(entry)]
 
 
-def read_colmap_rig(folder: Path, model: Path, layout: str = LAYOUT) -> Rig:
-    """The rig whose frames are in ``folder``, calibrated by the COLMAP model in ``model``. Raises RigError."""
-    lenses, images = _read_lenses(model), _read_images(model)
-    if not images:
-        raise RigError(f"{model}: the model holds no images; run the reconstruction again")
+def read_colmap_rig(
+    folder: Path, model: Path, layout: str = LAYOUT, renamed: Callable[[str], str] = lambda name: name
+) -> Rig:
+    """The rig whose frames are in ``folder``, calibrated by the COLMAP model in ``model``. Raises RigError.
+
+    ``renamed``: the name that an image goes by, from its name in the model.
+    """
+    lenses = read_lenses(model)
+    images = [replace(image, name=renamed(image.name)) for image in read_images(model)]
     frames = _frames_below(folder, images)
     places = {image.name: _place(image.name, frames) for image in images}
     unposed = _unposed(frames, set(places.values()))
     _check_pairs(folder, model, places, unposed)
-    calibrated = _cameras_of(model, lenses, images, places)
+    calibrated = cameras_of(model, lenses, images, places)
     pairs = [(camera, open_source(frames[place])) for place, camera in calibrated.items()]
     rig = assemble_rig(folder, layout, pairs, model_files(model), resizable=True, points=read_points(model))
     if not unposed:
@@ -238,7 +244,7 @@ def _unposed(frames: Mapping[str, Path], posed: set[str | None]) -> list[Path]:
     ]
 
 
-def _cameras_of(
+def cameras_of(
     model: Path, lenses: dict[int, ModelledCamera], images: list[PosedImage], places: Mapping[str, str | None]
 ) -> dict[str, Camera]:
     """The cameras by the places of their frames."""
@@ -252,7 +258,7 @@ def _cameras_of(
         place = places[image.name] or ""
         name = place.rpartition("/")[2]
         camera = _camera(name if names[name] == 1 else place.replace("/", "_"), lens, image.world_to_camera, where)
-        if place in cameras and not _same_pose(cameras[place], camera):
+        if place in cameras and not same_pose(cameras[place], camera):
             raise RigError(
                 f"{where}: camera {camera.name} stands somewhere else in another image; cameras must be fixed, and "
                 "those of several cameras need a folder each, or lie in images/ with one picture each"
@@ -274,7 +280,8 @@ def _check_apart(model: Path, cameras: Sequence[Camera]) -> None:
             )
 
 
-def _same_pose(one: Camera, other: Camera) -> bool:
+def same_pose(one: Camera, other: Camera) -> bool:
+    """Whether two calibrations of one fixed camera put it in one place, up to what a reconstruction leaves."""
     difference = np.abs(one.world_to_camera - other.world_to_camera)
     distance = 1 + float(np.linalg.norm(one.world_to_camera[:3, 3]))
     return bool(difference[:3, :3].max() < _SAME_POSE and difference[:3, 3].max() < _SAME_POSE * distance)
@@ -305,22 +312,10 @@ def _check_model_name(model: str, where: str) -> int:
     return _PARAMETERS[model]
 
 
-def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...], where: str) -> NDArray[np.float64]:
-    """World-to-camera from COLMAP's quaternion (w, x, y, z; any norm) and translation."""
-    q = np.array(quaternion, np.float64)
-    norm = float(np.linalg.norm(q)) if np.isfinite(q).all() and np.abs(q).max() < 1e100 else 0.0
-    if norm < 1e-6:
-        raise RigError(f"{where}: the pose is singular (rotation quaternion {quaternion}); export the model again")
-    pose = np.eye(4)
-    pose[:3, :3] = rotation_rows(*(q / norm))
-    pose[:3, 3] = translation
-    return rigid_pose(pose, where)
-
-
 # --- binary ---------------------------------------------------------------------------------------------------------
 
 
-class _Bytes:
+class ModelBytes:
     """A cursor over a little-endian binary file that never reads past its end."""
 
     def __init__(self, path: Path) -> None:
@@ -373,7 +368,7 @@ def _read_file(path: Path) -> bytes:
 
 
 def _binary_lenses(path: Path) -> dict[int, ModelledCamera]:
-    file = _Bytes(path)
+    file = ModelBytes(path)
     lenses = {}
     for _ in range(file.count(24)):
         camera_id, number = file.integers("<Ii")
@@ -385,30 +380,31 @@ def _binary_lenses(path: Path) -> dict[int, ModelledCamera]:
 
 
 def _binary_images(path: Path) -> list[PosedImage]:
-    file = _Bytes(path)
+    file = ModelBytes(path)
     images = []
     for _ in range(file.count(73)):
-        file.skip(4)
+        (image_id,) = file.integers("<I")
         numbers = file.take("<7d")
         (camera_id,) = file.integers("<I")
         name = file.name()
         file.skip(24 * file.count(24))
-        images.append(PosedImage(name, camera_id, _pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")))
+        pose = quaternion_pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")
+        images.append(PosedImage(image_id, name, camera_id, pose))
     return images
 
 
 def _binary_points(path: Path) -> Iterator[tuple[float, ...]]:
-    file = _Bytes(path)
+    file = ModelBytes(path)
     for _ in range(file.count(51)):
         point = file.take("<Q3d3Bd")
         file.skip(8 * file.count(8))
-        yield point[1:7]
+        yield point[:7]
 
 
 # --- text -----------------------------------------------------------------------------------------------------------
 
 
-def _text_lines(path: Path) -> Iterator[tuple[int, str]]:
+def text_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines and their numbers from 1, without comments and empty ones (an image without points has one or none)."""
     data = _read_file(path)
     is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as some editors write it
@@ -419,21 +415,22 @@ def _text_lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def _malformed(path: Path, number: int) -> RigError:
+def malformed(path: Path, number: int) -> RigError:
+    """The error to raise for a line of a text file, counted from 1."""
     return RigError(f"{path}: line {number} is malformed; export the COLMAP model again")
 
 
 def _text_lenses(path: Path) -> dict[int, ModelledCamera]:
     lenses = {}
-    for number, line in _text_lines(path):
+    for number, line in text_lines(path):
         words = line.split()
         try:
             camera_id, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
             parameters = tuple(float(word) for word in words[4:])
         except (ValueError, IndexError):
-            raise _malformed(path, number) from None
+            raise malformed(path, number) from None
         if len(parameters) != _check_model_name(model, f"{path}, camera {camera_id}"):
-            raise _malformed(path, number)
+            raise malformed(path, number)
         lenses[camera_id] = ModelledCamera(model, width, height, parameters)
     return lenses
 
@@ -441,17 +438,18 @@ def _text_lenses(path: Path) -> dict[int, ModelledCamera]:
 def _text_images(path: Path) -> list[PosedImage]:
     images = []
     may_be_points = False
-    for number, line in _text_lines(path):
+    for number, line in text_lines(path):
         if may_be_points and _are_points(line):
             may_be_points = False
             continue
         words = line.split(maxsplit=9)
         try:
             numbers = tuple(float(word) for word in words[1:8])
-            camera_id, name = int(words[8]), words[9]
+            image_id, camera_id, name = int(words[0]), int(words[8]), words[9]
         except (ValueError, IndexError):
-            raise _malformed(path, number) from None
-        images.append(PosedImage(name, camera_id, _pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")))
+            raise malformed(path, number) from None
+        pose = quaternion_pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")
+        images.append(PosedImage(image_id, name, camera_id, pose))
         may_be_points = True
     return images
 
@@ -467,43 +465,50 @@ def _are_points(line: str) -> bool:
 
 
 def _text_points(path: Path) -> Iterator[tuple[float, ...]]:
-    for number, line in _text_lines(path):
+    for number, line in text_lines(path):
         words = line.split(maxsplit=7)
         try:
-            point = tuple(float(word) for word in words[1:7])
+            point = tuple(float(word) for word in words[:7])
         except ValueError:
-            raise _malformed(path, number) from None
-        if len(point) != 6 or not all(0 <= channel <= 255 for channel in point[3:]):
-            raise _malformed(path, number)
+            raise malformed(path, number) from None
+        if len(point) != 7 or not all(0 <= channel <= 255 for channel in point[4:]):
+            raise malformed(path, number)
         yield point
 
 
 # --- either; binary first, as in COLMAP -----------------------------------------------------------------------------
 
 
-def _read_lenses(model: Path) -> dict[int, ModelledCamera]:
+def read_lenses(model: Path) -> dict[int, ModelledCamera]:
+    """The cameras file's entries by their numbers. Raises RigError."""
     binary = model / "cameras.bin"
     return _binary_lenses(binary) if binary.is_file() else _text_lenses(model / "cameras.txt")
 
 
-def _read_images(model: Path) -> list[PosedImage]:
+def read_images(model: Path) -> list[PosedImage]:
+    """The images file's entries, at least one; names have "/" between folders. Raises RigError."""
     binary = model / "images.bin"
     path = binary if binary.is_file() else model / "images.txt"
     found = _binary_images(path) if path == binary else _text_images(path)
     images = [replace(image, name=image.name.replace("\\", "/")) for image in found]  # as Windows writes them
+    if not images:
+        raise RigError(f"{model}: the model holds no images; run the reconstruction again")
     for image in images:
         if not PurePosixPath(image.name).stem or not image.name.isprintable():
             raise RigError(f"{path}: {image.name!r} is no usable image name; export the COLMAP model again")
     return images
 
 
-def read_points(model: Path) -> Points | None:
-    """The model's 3D points, or None if it has none; points at NaN or infinity are left out. Raises RigError."""
+def read_points(model: Path, is_wanted: Callable[[float], bool] = lambda _: True) -> Points | None:
+    """The model's 3D points whose number is wanted, or None if there is none. Raises RigError.
+
+    Points at NaN or infinity are left out.
+    """
     binary, text = model / "points3D.bin", model / "points3D.txt"
     if not binary.is_file() and not text.is_file():
         return None
     rows = list(_binary_points(binary) if binary.is_file() else _text_points(text))
-    values = np.array(rows, np.float64).reshape(-1, 6)
+    values = np.array([row[1:] for row in rows if is_wanted(row[0])], np.float64).reshape(-1, 6)
     values = values[(np.abs(values[:, :3]) < 1e30).all(axis=1)]
     if len(values) == 0:
         return None

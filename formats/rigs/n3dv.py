@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..cameras import Camera
 from ..errors import RigError
 from .calibration import calibrated_camera, invert_pose, rigid_pose
+from .pickles import refuse_pickles
 from .rig import Rig, assemble_rig
 from .sources import holds_frames, list_folder, open_source, refuse_unknown_kinds
 
@@ -81,6 +82,7 @@ def _numbering_gap(entries: list[Path]) -> str:
 
 
 def _read_rows(path: Path) -> NDArray[np.float64]:
+    refuse_pickles([path])
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise RigError(f"{path}: larger than {_MAX_BYTES >> 20} MiB, which no rig's poses are; check the file")

@@ -4,7 +4,8 @@
 same pose are the frames of one camera, ordered by ``time`` and path, whichever folders they are in. Intrinsics (fl_x,
 fl_y, cx, cy, w, h, or camera_angle_x) are global or per entry; k1 k2 k3 p1 p2 (k4 k5 k6: the rational model) follow
 OpenCV, and k1..k4 with camera_model OPENCV_FISHEYE. transform_matrix is camera-to-world in OpenGL axes (x right, y up,
-z backwards). Pixel centres are at .5.
+z backwards). Pixel centres are at .5. DiVa-360 and others share the cameras out: ``transforms_train.json``,
+``transforms_val.json`` and ``transforms_test.json`` (brown-ivl/DiVa360, utils/splitJson.py).
 """
 
 from __future__ import annotations
@@ -24,12 +25,14 @@ from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
 from .calibration import calibrated_camera, invert_pose, rigid_pose
-from .json_fields import Fields, read_json
+from .fields import Fields, read_json
 from .rig import Rig, assemble_rig
-from .sources import GENERIC_FOLDERS, FrameSource, PictureSource, natural_key, open_pictures, open_source
+from .sources import GENERIC_FOLDERS, FrameSource, natural_key, open_listed, open_pictures, open_source
 
 LAYOUT = "nerfstudio"
 CALIBRATION = "transforms.json"
+SPLITS_LAYOUT = "nerfstudio splits"
+SPLITS_CALIBRATION = "transforms_train.json"
 _FISHEYE = frozenset({"OPENCV_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"})
 _OPENCV = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"})
 _COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
@@ -64,10 +67,23 @@ class _Entry:
 
 def read_nerfstudio(folder: Path) -> Rig:
     """The rig described by ``folder``/transforms.json. Raises RigError."""
-    path = folder / CALIBRATION
-    fields = read_json(path)
-    shared = {key: value for key, value in fields.values.items() if key != "frames"}
-    entries = [_entry(folder, replace(own, values={**shared, **own.values})) for own in fields.records("frames")]
+    return _read_transforms(folder, LAYOUT, [folder / CALIBRATION])
+
+
+def read_splits(folder: Path) -> Rig:
+    """The rig whose cameras are shared out over transforms_train.json and those of other splits. Raises RigError.
+
+    An entry that is in several of them, as for validation and test, counts once.
+    """
+    there = [folder / f"transforms_{split}.json" for split in ("train", "val", "test")]
+    return _read_transforms(folder, SPLITS_LAYOUT, [path for path in there if path.is_file()])
+
+
+def _read_transforms(folder: Path, layout: str, paths: Sequence[Path]) -> Rig:
+    path = paths[0]
+    of_files = [_entries(folder, file) for file in paths]
+    listed = {entry.path: entry for entries in reversed(of_files) for entry in entries}
+    entries = of_files[0] if len(paths) == 1 else list(listed.values())
     groups = _group_by_camera(path, entries)
     names = _camera_names(groups)
     _check_in_step(path, names, groups)
@@ -77,7 +93,7 @@ def read_nerfstudio(folder: Path) -> Rig:
     for name, group in zip(names, groups, strict=True):
         source = _source(group)
         pairs.append((_camera(name, group[0].fields, source), source))
-    rig = assemble_rig(folder, LAYOUT, pairs, [path], resizable=True)
+    rig = assemble_rig(folder, layout, pairs, paths, resizable=True)
     masks = {name: _masks(group, folder) for name, group in zip(names, groups, strict=True)}
     return replace(
         rig,
@@ -86,13 +102,20 @@ def read_nerfstudio(folder: Path) -> Rig:
     )
 
 
+def _entries(folder: Path, path: Path) -> list[_Entry]:
+    """The entries of one file, each with what the file says for all of them."""
+    fields = read_json(path)
+    shared = {key: value for key, value in fields.values.items() if key != "frames"}
+    return [_entry(folder, replace(own, values={**shared, **own.values})) for own in fields.records("frames")]
+
+
 def _entry(folder: Path, fields: Fields) -> _Entry:
     path = fields.path("file_path", folder)
     # Blender-style files leave the suffix out.
     spelled = [path, *(path.parent / (path.name + suffix) for suffix in sorted(PICTURE_SUFFIXES))]
     found = next((candidate for candidate in spelled if os.path.exists(candidate)), None)
     if found is None:
-        raise RigError(f"{fields.where}: {path} is missing; put it back or remove its entry from {CALIBRATION}")
+        raise RigError(f"{fields.where}: {path} is missing; put it back or remove its entry")
     return _Entry(fields, found, fields.number("time", 0.0))
 
 
@@ -223,22 +246,15 @@ def _check_one_lens(name: str, group: Sequence[_Entry]) -> None:
                 raise fields.wrong(key, f"is not what camera {name} has in its first picture; lenses must be fixed")
 
 
-class _ListedPictures(PictureSource):
-    """Pictures whose instants their times or folders tell, whatever numbers are in their names."""
-
-    def frame_numbers(self) -> None:
-        return None
-
-
 def _source(group: Sequence[_Entry]) -> FrameSource:
     if len(group) == 1:
         return open_source(group[0].path)
     files, folders = [entry.path for entry in group], _folders(group)
     if len(folders) == 1:
-        source = open_pictures(files[0].parent, files)
-        return _ListedPictures(**vars(source)) if len({entry.time for entry in group}) > 1 else source
+        is_timed = len({entry.time for entry in group}) > 1
+        return (open_listed if is_timed else open_pictures)(files[0].parent, files)
     common = os.path.commonpath([os.path.abspath(folder) for folder in folders])
-    return _ListedPictures(**vars(open_pictures(Path(common), files)))
+    return open_listed(Path(common), files)
 
 
 def _camera(name: str, fields: Fields, source: FrameSource) -> Camera:

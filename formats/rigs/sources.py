@@ -172,6 +172,19 @@ class CutSource:
         yield from self.source.read(self.first + start * self.step, last + 1, step * self.step)
 
 
+class ListedPictures(PictureSource):
+    """Pictures whose instants their times or folders tell, whatever numbers are in their names."""
+
+    def frame_numbers(self) -> None:
+        """None: nothing to compare."""
+        return None
+
+
+def open_listed(path: Path, files: Iterable[Path]) -> ListedPictures:
+    """Picture files in the order of their frames, which their names do not tell. Raises RigError."""
+    return ListedPictures(**vars(open_pictures(path, files)))
+
+
 def natural_key(name: str) -> tuple[list[str | int], str]:
     """Sorts cam_2 before cam_10."""
     # Numbers stand at the odd places of the split, so that like is compared with like.

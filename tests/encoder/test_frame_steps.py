@@ -15,6 +15,7 @@ from decogs.codec.corrections import Correction
 from decogs.codec.keyframes import new_state
 from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.state import ARRAYS, Attributes, State
+from decogs.decoder.hull import Hull
 from decogs.encoder.change.masks import FrameMask, MaskMemory
 from decogs.encoder.coding.rate_control import RateControl
 from decogs.encoder.coding.scene import IDS_PER_SEGMENT, Scene
@@ -27,6 +28,8 @@ from decogs.encoder.frame.plan import FramePlan, Selection, light_only, plan_fra
 from decogs.encoder.frame.train import train_frame
 from decogs.encoder.input.compensation.colour import remove_gain
 from decogs.encoder.input.ingest import RigFrame
+from decogs.encoder.keyframe.backdrop.stage import PlainStage
+from decogs.encoder.keyframe.backdrop.subject import SubjectAlone
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
@@ -94,6 +97,15 @@ def test_a_frame_that_goes_over_keeps_to_the_budget_as_well() -> None:
         assert found.threshold == pytest.approx(4 * usual.threshold)
         assert found.rd_lambda == pytest.approx(4 / exactness * usual.rd_lambda)
         assert found.colour_rd_lambda == pytest.approx(4 / exactness * usual.colour_rd_lambda)
+
+
+def test_on_a_plain_stage_smaller_changes_are_coded_and_of_a_subject_alone_they_are_not() -> None:
+    usual = DRAFT.frame.significance
+    plain = PlainStage(Hull([]), Stub(), [], np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), 1.0)
+    for stage, factor in ((plain, 0.5), (SubjectAlone(Hull([])), 1), (None, 1)):
+        found = planned(DRAFT, memory_of(stage=stage), PICTURE).settings.significance
+        assert found.threshold == pytest.approx(factor * usual.threshold)
+        assert found.rd_lambda == pytest.approx(factor * usual.rd_lambda)
 
 
 @pytest.mark.parametrize("rule", ["weight", "paper"])

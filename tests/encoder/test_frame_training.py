@@ -97,6 +97,18 @@ def test_the_warm_start_carries_the_last_displacement_on(case: Case) -> None:
     np.testing.assert_allclose(frame.values.means, expected, atol=1e-6)
 
 
+def test_on_a_stage_neighbours_move_more_alike(case: Case) -> None:
+    """Displacements are smoothed at half of the steps: what the other half adds is left of their differences."""
+
+    def differences(**stage: Any) -> float:
+        frame = case.train(SETTINGS, **stage)
+        before = case.scene.means[frame.kept]
+        moved = frame.values.means - before
+        return float(np.abs(moved - shared_displacements(before, moved, 16)).mean())
+
+    assert differences(free=lambda means: np.zeros(len(means), bool)) < 0.8 * differences()
+
+
 GROWING = replace(SETTINGS, joint_iterations=0, grow_fraction=1.0, grow_gradient=0.0, prune_opacity=0.0)
 
 

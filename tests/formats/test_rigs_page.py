@@ -14,7 +14,7 @@ import pytest
 
 from decogs.formats.cameras import camera_centre, project
 from decogs.formats.errors import RigError
-from decogs.formats.rigs import colmap, json_fields, nerfstudio, open_rig, rig_json, sources
+from decogs.formats.rigs import colmap, detection, fields, nerfstudio, open_rig, rig_json, sources
 
 PAGE = (Path(__file__).parents[2] / "docs" / "rig.md").read_text()
 EXAMPLE = re.search(r"```json\n(.*?)```", PAGE, re.DOTALL)
@@ -153,6 +153,18 @@ def test_a_colmap_model_that_is_named_has_to_be_there(folder: Path, example: dic
     assert len(points) == len(make.points)
 
 
+def test_every_calibration_of_others_is_in_the_table() -> None:
+    table = section("Data sets and other programs")
+    named = {name for cell in re.findall(r"^\|(.*)\|$", table, re.MULTILINE) for name in re.findall(NAME, cell)}
+    looked_for = {pattern.replace("[Cc]", "c") for layout in detection.OTHERS for pattern in layout.patterns}
+    assert len(looked_for) > 10
+    by_ending = {pattern for pattern in looked_for if pattern.startswith("*calib*.y") or pattern.endswith(".xml")}
+    in_folder = {pattern for pattern in looked_for if "/" in pattern}
+    assert looked_for - by_ending - in_folder <= named
+    assert {"." + pattern.rpartition(".")[2] for pattern in by_ending} <= named | {".yml"}
+    assert {pattern.partition("/")[0] + "/" for pattern in in_folder} <= named
+
+
 PAIRS = [
     (image, place)
     for images, places in rows(section("COLMAP"), 2)
@@ -198,4 +210,4 @@ def test_folders_may_be_separated_as_on_windows(folder: Path, example: dict[str,
 def test_fields_are_read_as_written() -> None:
     """``rows`` would pass with no row."""
     assert len(rows(section("rig.json"), 3)) >= 14
-    assert json_fields.Fields({"a": None}, "x").text("a", "b") == "b"
+    assert fields.Fields({"a": None}, "x").text("a", "b") == "b"

@@ -1,17 +1,21 @@
-"""Typed reading of calibration files in JSON: a field that is missing or of the wrong kind is named with its file."""
+"""Typed reading of calibrations in JSON or TOML: a field that is missing or of a wrong kind is named with its file."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RigError
+from ..regular_files import open_regular
 
 _MAX_BYTES = 64 << 20
 
@@ -82,6 +86,22 @@ class Fields:
         numbers = [[self._number(key, value) for value in row] for row in rows if isinstance(row, list)]
         return np.array(numbers, np.float64)
 
+    def array(self, key: str, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
+        """Finite numbers in lists, however nested, in the first of ``shapes`` that has as many."""
+        numbers = list(self._flat(key, self._list(key), 3))
+        shape = next((shape for shape in shapes if math.prod(shape) == len(numbers)), None)
+        if shape is None:
+            expected = " or ".join(" x ".join(map(str, shape)) for shape in shapes)
+            raise self.wrong(key, f"has {len(numbers)} numbers, not {expected}")
+        return np.array(numbers, np.float64).reshape(shape)
+
+    def _flat(self, key: str, values: list[object], depth: int) -> Iterator[float]:
+        for value in values:
+            if isinstance(value, list) and depth:
+                yield from self._flat(key, value, depth - 1)
+            else:
+                yield self._finite(key, value)
+
     def records(self, key: str) -> list[Fields]:
         """A non-empty list of objects."""
         records = [
@@ -116,16 +136,58 @@ class Fields:
 
 def read_json(path: Path) -> Fields:
     """The object in a JSON file. Raises RigError if it cannot be read or is malformed, with the line."""
+    value = _parsed(path)
+    if not isinstance(value, dict):
+        raise RigError(f"{path}: the JSON file holds no object; correct the file")
+    return Fields(value, str(path))
+
+
+def read_json_list(path: Path, named: str) -> list[Fields]:
+    """The objects in the list that a JSON file holds, ``named`` in messages. Raises RigError as ``read_json``."""
+    return Fields({named: _parsed(path)}, str(path)).records(named)
+
+
+def read_toml(path: Path) -> Fields:
+    """The table in a TOML file. Raises RigError if it cannot be read or is malformed."""
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise RigError(f"{path}: larger than {_MAX_BYTES >> 20} MiB, which no calibration is; check the file")
-        value = json.loads(path.read_bytes())  # UTF-8 or, from some editors, UTF-16; with a byte order mark or without
+        return Fields(tomllib.loads(read_calibration_file(path).decode("utf-8-sig")), str(path))
+    except (ValueError, RecursionError) as error:
+        what = " ".join(str(error).split())[:200]
+        raise RigError(f"{path}: malformed TOML ({what}); correct the file") from None
+
+
+def read_calibration_file(path: Path) -> bytes:
+    """All bytes of a file that is no larger than a calibration is. Raises RigError."""
+    try:
+        with open_regular(path) as file:
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); put the file back or fix its rights") from None
+    if len(data) > _MAX_BYTES:
+        raise RigError(f"{path}: larger than {_MAX_BYTES >> 20} MiB, which no calibration is; check the file")
+    return data
+
+
+def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
+    """The root of an XML file's content. Raises RigError for what is malformed, or declares a document type."""
+    try:
+        if b"<!DOCTYPE" in data:  # whose entities may grow without bound
+            raise ElementTree.ParseError("a document type is declared")
+        return ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise RigError(f"{path}: malformed XML ({error}); write the file again") from None
+
+
+def _parsed(path: Path) -> object:
+    try:
+        # UTF-8 or, from some editors, UTF-16; with a byte order mark or without
+        value: object = json.loads(read_calibration_file(path))
     except json.JSONDecodeError as error:
         raise RigError(f"{path}: malformed JSON in line {error.lineno} ({error.msg}); correct the file") from None
     except (ValueError, RecursionError):  # no Unicode, absurdly long numbers, absurdly deep nesting
         raise RigError(f"{path}: malformed JSON; correct the file") from None
-    if not isinstance(value, dict):
-        raise RigError(f"{path}: the JSON file holds no object; correct the file")
-    return Fields(value, str(path))
+    return value
