@@ -11,12 +11,13 @@ from decogs.formats.command_line import Parser, number_of_threads, print_text, p
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import Output, check_outputs, check_writable, is_device, write_whole
-from decogs.formats.rigs import files_of, open_rig, without_cameras
+from decogs.formats.rigs import files_of, without_cameras
 
 from ..input.ingest import Ingest, frame_span
 from ..input.matte_checks import check_mattes
 from ..input.mattes import open_mattes
 from ..input.mattes.options import add_matte_options, matte_choice
+from ..synchronisation.commands import add_sync_option, rig_in_step
 
 _PAGE = "index.html"
 
@@ -46,6 +47,7 @@ def analyze_parser() -> Parser:
     parser.add_argument(
         "--json", metavar="FILE", help="write every figure, per camera and frame; - for stdout (the table: stderr)"
     )
+    add_sync_option(parser)
     add_matte_options(parser.add_argument_group("subject alone"))
     parser.add_argument(
         "-o", "--output", metavar="DIR", help="write DIR/index.html: the rig's plan, its cameras, and what is wrong"
@@ -58,7 +60,7 @@ def analyze_parser() -> Parser:
 def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     from .analyse import analyse
 
-    rig = without_cameras(open_rig(options.rig_dir), options.exclude)
+    rig = without_cameras(rig_in_step(options), options.exclude)
     for warning in rig.warnings:
         warn_as(parser)(warning)
     span = frame_span(rig, frame_range(options.frames))

@@ -15,6 +15,7 @@ from decogs.formats.cameras import Camera, camera_centre, in_picture, project, r
 
 from ..keyframe.backdrop.stage import PlainStage
 from ..parallel import Each
+from ..synchronisation.starts import frames_late
 from .faults import HARMFUL, SWAPPED, Fault, Findings, faults_of, verdict_on
 from .light import Mismatch
 from .matches import Matches, features_of, join_matches, match_features
@@ -23,7 +24,6 @@ from .recordings import sharpness
 from .reprojection import MAX_RAYS_ANGLE, triangulate, turns
 from .rig_statistics import RigStatistics, typical_noise
 from .stage_check import first_met
-from .synchrony import delays
 
 F64 = NDArray[np.float64]
 
@@ -192,10 +192,7 @@ def in_columns(sentence: str) -> list[str]:
 def check_rig(stats: RigStatistics, each: Each) -> RigCheck:
     """Judges a rig by its calibration, the matches of its pictures, those of what moves, and the pictures."""
     noise = typical_noise(stats.noise)
-    late = np.full(len(stats.cameras), np.nan)
-    if stats.step == 1:
-        steady = [not path.shakes for path in stats.paths]
-        late = delays(stats.cameras, stats.pictures, steady, noise.tolist(), each)
+    late = stats.step * frames_late(stats.cameras, stats.pictures, each)
     found = [
         Findings(
             name,
