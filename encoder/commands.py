@@ -30,6 +30,7 @@ from decogs.formats.frame_ranges import frame_range
 from decogs.formats.rigs import Rig, open_live, open_rig
 
 from .input.mattes.options import add_matte_options, matte_choice
+from .synchronisation.commands import add_sync_option, rig_in_step
 
 if TYPE_CHECKING:
     from .job import EncodeJob
@@ -82,6 +83,14 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
+    )
+    add_sync_option(group)
+    group.add_argument(
+        "--exclude",
+        action="append",
+        default=[],
+        metavar="CAM",
+        help="leave a camera out altogether, such as one that decogs-analyze calls harmful (repeatable)",
     )
     group.add_argument(
         "--keyframe",
@@ -345,7 +354,7 @@ def _check_cluster(options: argparse.Namespace) -> None:
     """Raises UsageError for options that no cluster takes."""
     given = {"live": options.live, "only": options.only, "time_budget": options.time_budget, "log": options.log}
     given |= {"convergence_log": options.convergence_log, "output": "-" if options.output == "-" else None}
-    given |= {"max_memory": options.max_memory, "progress_lines": options.progress_lines}
+    given |= {"max_memory": options.max_memory, "progress_lines": options.progress_lines, "sync": options.sync}
     for name, value in given.items():
         if value is not None:
             raise UsageError(f"`cluster`: it does not go with `{name}` {value}; drop one of the two")
@@ -362,7 +371,7 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
         option_names[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
-    same = ["settings", "scale", "holdout", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
+    same = ["settings", "scale", "holdout", "exclude", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
     same += ["seed", "threads", "device", "max_memory", "log", "convergence_log"]
     job = EncodeJob(
         rig,
@@ -418,7 +427,9 @@ def _rig(options: argparse.Namespace) -> Rig | str:
     if (options.rig_dir is None) == (options.live is None):
         raise UsageError("give a rig's folder, or `live` and the file of the cameras that are recording")
     if options.live is None:
-        return str(options.rig_dir)
+        return str(options.rig_dir) if options.sync is None else rig_in_step(options)
+    if options.sync is not None:
+        raise UsageError(f"`live`: it does not go with `sync` {options.sync}; drop one of the two")
     if options.effects is None:
         options.effects = ",".join(PRESET_EFFECTS)
     if options.effects.startswith("auto"):  # which looks at frames of the whole take
@@ -427,7 +438,8 @@ def _rig(options: argparse.Namespace) -> Rig | str:
 
 
 def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:
-    """The rig, opened where a bitrate needs its frame rate, bytes per frame, and how these were asked for."""
+    """The rig, opened where a bitrate needs its frame rate or its starts matter, bytes per frame, and how these were
+    asked for."""
     bitrate, megabytes = options.bitrate, options.max_mb_per_frame
     if bitrate is not None and megabytes is not None:
         raise UsageError("--bitrate and --max-mb-per-frame are one budget in two units; drop one of the two")

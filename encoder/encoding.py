@@ -11,13 +11,14 @@ from typing import Any, BinaryIO
 
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import RigError, UsageError
 from decogs.formats.outputs import Output, check_outputs
-from decogs.formats.rigs import Rig, files_of, open_rig
+from decogs.formats.rigs import Rig, files_of, open_rig, without_cameras
 from decogs.formats.threads import thread_count
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
+from .analysis.faults import MOVING
 from .backends import check_device
 from .frame.context import Context
 from .input.compositing import background_for
@@ -149,6 +150,7 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     rig = job.rig if isinstance(job.rig, Rig) else open_rig(job.rig)
     for warning in rig.warnings:
         warn(warning)
+    rig = without_cameras(rig, job.exclude)
     span = frame_span(rig, job.frames)
     part = None if job.only is None else part_frames(job.only, span, settings.segment)
     wanted = wanted_effects(job, settings)
@@ -192,6 +194,7 @@ def _facts(job: EncodeJob, work: _Work, ingest: Ingest, settings: EncodeSettings
         "layout": work.rig.layout,
         "cameras": [camera.name for camera in work.rig.cameras],
         "held_out": list(job.holdout),
+        "excluded": list(job.exclude),
         "frames": [frames.start, frames.stop],
         "scale": job.scale,
         "held_out_sizes": ingest.held_out_sizes,
@@ -276,6 +279,9 @@ def _with_effects(
         found = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
         for warning in found.check.warnings():
             warn(warning)
+        moving = [fault for camera in found.check.cameras for fault in camera.faults if fault.word == MOVING]
+        if moving:
+            raise RigError(f"{work.rig.path}: {moving[0]}")
         observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
         return found.decisions
 

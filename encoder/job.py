@@ -35,6 +35,7 @@ class EncodeJob:
     frames: Frames = None  # consecutive ones, as a slice or a range; None: all
     scale: float = 1.0  # of the pictures trained on, above 0 and at most 4
     holdout: Sequence[str] = ()  # names of cameras kept out of training and measured on
+    exclude: Sequence[str] = ()  # names of cameras that are left out altogether
 
     mattes: MatteChoice | None = None  # what of the pictures is the subject; None: as their own alpha says
 

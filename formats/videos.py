@@ -104,7 +104,7 @@ class VideoSource:
         """The decoded frames from ``start`` on, each by its own time."""
         for begin in self._beginnings(start):
             following = start
-            with _opened(self.path) as (container, stream):
+            with opened_video(self.path) as (container, stream):
                 if begin is not None and not _seek(container, stream, begin):
                     continue
                 for position, frame in enumerate(_decoded(self.path, container, stream)):
@@ -182,7 +182,7 @@ def open_video(path: Path) -> VideoSource:
     listing = _list_packets(path)
     if not listing.packets:
         raise RigError(f"{path}: the video holds no frames; record or export it again")
-    with _opened(path) as (container, stream):
+    with opened_video(path) as (container, stream):
         first = next(_decoded(path, container, stream), None)
         if first is None:
             raise RigError(f"{path}: no frame of it can be decoded ({stream.codec_context.name}); re-encode the video")
@@ -234,8 +234,8 @@ def _check_whole(path: Path) -> None:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """The container and its track of pictures: the largest, else the default one; never a cover."""
+def opened_video(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """The container and its track of pictures: the largest, else the default one; never a cover. Raises RigError."""
     # The path is absolute and local, or "concat:" and "http:" would be FFmpeg's own language.
     only = {"protocol_whitelist": "file", "format_whitelist": ",".join(_DEMUXERS)}
     try:
@@ -267,7 +267,7 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
 
 def _list_packets(path: Path) -> _Listing:
     most = min(path.stat().st_size, _MAX_FRAMES)  # a frame has a byte at least
-    with _opened(path) as (container, stream):
+    with opened_video(path) as (container, stream):
         try:
             found = []
             for packet in container.demux(stream):
@@ -328,7 +328,7 @@ def _look_through(
 def _count(path: Path, first: VideoFrame) -> int:
     """Frames of a video whose times do not tell them apart."""
     count = 0
-    with _opened(path) as (container, stream):
+    with opened_video(path) as (container, stream):
         for frame in _decoded(path, container, stream):
             _check_frame(path, frame, count, (first.width, first.height))
             count += 1

@@ -24,6 +24,7 @@ from decogs.encoder import PRESETS
 from decogs.encoder.analysis.commands import analyze_parser
 from decogs.encoder.calibration.commands import calibrate_parser
 from decogs.encoder.commands import encode_parser, join_parser, pack_parser
+from decogs.encoder.synchronisation.commands import sync_parser
 
 SHARE = Path(__file__).parent
 PARSERS = (
@@ -36,10 +37,11 @@ PARSERS = (
     info_parser,
     join_parser,
     pack_parser,
+    sync_parser,
     view_parser,
 )
 FOLDERS = {"rig_dir", "rigs", "rig"}
-FILES = {"output", "stream", "files", "parts", "camera", "audio", "keyframe", "log", "convergence_log"}
+FILES = {"output", "stream", "files", "parts", "camera", "audio", "keyframe", "log", "convergence_log", "sync"}
 """What arguments name, by what they set."""
 EXIT_STATUS = """0: all went well. 2: an error, which one line on stderr names. 75: try again (parts of a take alone).
 130: interrupted by Ctrl\\-C. 141: the reader of a pipe is gone."""

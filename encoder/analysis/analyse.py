@@ -21,7 +21,7 @@ from ..parallel import side_by_side
 from ..settings.effects import FRAME_EFFECTS
 from . import EFFECTS
 from .effect import Decision, Evidence, Span
-from .rig_check import RigCheck, check_rig
+from .rig_check import RigCheck, check_rig, in_columns
 from .rig_statistics import RigStatistics, gather_statistics
 from .stage_check import StageCheck, check_stage
 
@@ -65,14 +65,16 @@ class Analysis:
             f"{self.path}: {len(stats.cameras)} cameras, {self.frame_count} frames{thinned}, at {sizes}, "
             f"in {self.seconds:.1f} s"
         )
-        rows = [_HEADINGS, *(_row(stats, finding) for finding in self.findings)]
+        rows = [_HEADINGS, *(_row(finding) for finding in self.findings)]
         widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADINGS))]
-        for row in rows:
+        for row, finding in zip(rows, (None, *self.findings), strict=True):
             yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        yield _DECIDED_LATER
+            if finding is not None and finding.decision.detected:
+                yield from in_columns(f"  {_detected(stats, finding.decision)}")
+        yield from in_columns(_DECIDED_LATER)
         yield ""
-        if self.stage is not None:
-            yield from self.stage.table()
+        for line in () if self.stage is None else self.stage.table():
+            yield from in_columns(line)
         yield from self.check.table()
 
     def to_json(self) -> dict[str, Any]:
@@ -89,8 +91,10 @@ class Analysis:
             "seconds": round(self.seconds, 3),
             "effects": [_finding_json(stats, finding) for finding in self.findings],
             "expected": self.check.expected,
+            "expected_psnr": _plain(self.check.psnr),
+            "advice": self.check.advice(),
             "stage": None if self.stage is None else _plain(asdict(self.stage)),
-            "checks": {each.camera: _plain(asdict(each)) for each in self.check.cameras},
+            "checks": {each.camera: _plain(each.to_json()) for each in self.check.cameras},
         }
 
 
@@ -126,11 +130,11 @@ def analyse(
     return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), check, stage, seconds)
 
 
-_HEADINGS = ("effect", "detected", "confidence", "evidence", "threshold", "cameras", "frames", "cost")
+_HEADINGS = ("effect", "detected", "confidence", "evidence", "threshold")
 _DECIDED_LATER = f"decided by every frame of an encode: {', '.join(FRAME_EFFECTS)}; by its keyframe: view_dependence"
 
 
-def _row(stats: RigStatistics, finding: Finding) -> tuple[str, ...]:
+def _row(finding: Finding) -> tuple[str, ...]:
     evidence, decision = finding.evidence, finding.decision
     known = math.isfinite(evidence.peak)
     return (
@@ -139,10 +143,12 @@ def _row(stats: RigStatistics, finding: Finding) -> tuple[str, ...]:
         f"{decision.confidence:.0%}",
         f"{evidence.peak:.3g} {evidence.unit}" if known else "undetermined",
         f"{evidence.limit:g}",
-        _cameras(stats, decision.cameras),
-        _frames(decision.frames),
-        decision.cost,
     )
+
+
+def _detected(stats: RigStatistics, decision: Decision) -> str:
+    """Where an effect is, and what it costs."""
+    return f"{_cameras(stats, decision.cameras)}; frames {_frames(decision.frames)}; {decision.cost}"
 
 
 def _cameras(stats: RigStatistics, names: Sequence[str]) -> str:

@@ -11,16 +11,19 @@ from decogs.formats.command_line import Parser, number_of_threads, print_text, p
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import Output, check_outputs, check_writable, is_device, write_whole
-from decogs.formats.rigs import files_of, open_rig
+from decogs.formats.rigs import files_of, without_cameras
 
 from ..input.ingest import Ingest, frame_span
 from ..input.matte_checks import check_mattes
 from ..input.mattes import open_mattes
 from ..input.mattes.options import add_matte_options, matte_choice
+from ..synchronisation.commands import add_sync_option, rig_in_step
+
+_PAGE = "index.html"
 
 
 def analyze_main(arguments: Sequence[str] | None = None) -> int:
-    """``decogs-analyze``: the effects of a rig, and what to expect of it."""
+    """``decogs-analyze``: the effects of a rig, a verdict on its cameras, and what to expect of it."""
     parser = analyze_parser()
     return run(parser, lambda: _analyze(parser, parser.parse_args(arguments)))
 
@@ -29,16 +32,26 @@ def analyze_parser() -> Parser:
     """The options of ``decogs-analyze``."""
     parser = Parser(
         prog="decogs-analyze",
-        description="Analyse a rig before encoding: its effects with cameras, frames and cost, and its coverage.",
+        description="Analyse a rig before encoding: its effects with cameras, frames and cost, what is wrong with a "
+        "camera, and what to expect of new views.",
         epilog="Pictures are downscaled, long clips subsampled to fit 256 MiB. Held-out cameras are excluded.",
     )
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
-    parser.add_argument("--holdout", action="append", default=[], metavar="CAM", help="exclude a camera (repeatable)")
+    parser.add_argument(
+        "--holdout", action="append", default=[], metavar="CAM", help="do not look at a camera (repeatable)"
+    )
+    parser.add_argument(
+        "--exclude", action="append", default=[], metavar="CAM", help="the same, as decogs-encode has it (repeatable)"
+    )
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
     parser.add_argument(
         "--json", metavar="FILE", help="write every figure, per camera and frame; - for stdout (the table: stderr)"
     )
+    add_sync_option(parser)
     add_matte_options(parser.add_argument_group("subject alone"))
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", help="write DIR/index.html: the rig's plan, its cameras, and what is wrong"
+    )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_quiet()
     return parser
@@ -47,7 +60,7 @@ def analyze_parser() -> Parser:
 def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     from .analyse import analyse
 
-    rig = open_rig(options.rig_dir)
+    rig = without_cameras(rig_in_step(options), options.exclude)
     for warning in rig.warnings:
         warn_as(parser)(warning)
     span = frame_span(rig, frame_range(options.frames))
@@ -56,10 +69,14 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
         ingest = Ingest(rig, holdout=options.holdout, mattes=mattes)
         check_mattes(ingest, next(ingest.frames(span.start, span.start + 1)), warn_as(parser))
     to_file = options.json is not None and options.json != "-"
-    if to_file:
-        check_outputs([Output("json", Path(options.json), grows=True)], files_of(rig))
-        if not is_device(Path(options.json)):
-            check_writable(Path(options.json))
+    page = None if options.output is None else Path(options.output) / _PAGE
+    outputs = [Output("json", Path(options.json), grows=True)] if to_file else []
+    outputs += [] if page is None else [Output("output", page, grows=True)]
+    check_outputs(outputs, files_of(rig))
+    if to_file and not is_device(Path(options.json)):
+        check_writable(Path(options.json))
+    if page is not None:
+        _make_folder(page.parent)
     with progress("analysing", "step", quiet=options.quiet) as on_step:
         analysis = analyse(
             rig,
@@ -75,14 +92,26 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     if options.json == "-":
         print_text(document.rstrip("\n"))
     elif to_file:
-        _write(Path(options.json), document)
+        _write("--json", Path(options.json), document)
+    if page is not None:
+        from .page import page_of
+
+        _write("--output", page, page_of(analysis))
 
 
-def _write(path: Path, document: str) -> None:
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--output {folder}: {error.strerror}; name a folder that can be made") from error
+    check_writable(folder / _PAGE)
+
+
+def _write(option: str, path: Path, document: str) -> None:
     try:
         if is_device(path):
             path.write_text(document, encoding="utf-8")
         else:
             write_whole(path, document.encode())
     except OSError as error:
-        raise UsageError(f"--json {path}: {error.strerror}; name a file in a folder that can be written") from error
+        raise UsageError(f"{option} {path}: {error.strerror}; name a file in a folder that can be written") from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -62,12 +62,32 @@ class Features:
     rays: F64
     descriptors: NDArray[np.float32]
 
+    def through(self, camera: Camera) -> Features:
+        """The same if ``camera`` took the picture; those that its lens cannot have shown lie at its edge."""
+        return replace(self, rays=np.nan_to_num(rays_of(camera, self.pixels), nan=1.0))
+
 
 def find_matches(cameras: Sequence[Camera], pictures: Sequence[U8], each: Callable[..., Iterator[Any]]) -> Matches:
     """Matches between every camera and the few whose optical axes are nearest to its own."""
-    features: list[Features] = list(each(features_of, cameras, pictures))
+    return match_features(cameras, list(each(features_of, cameras, pictures)), each)
+
+
+def match_features(
+    cameras: Sequence[Camera], features: Sequence[Features], each: Callable[..., Iterator[Any]]
+) -> Matches:
+    """The same from the pictures' ``features``."""
     pairs = neighbouring(cameras)
     return Matches(tuple(each(lambda pair: matched(pair[0], pair[1], features[pair[0]], features[pair[1]]), pairs)))
+
+
+def join_matches(moments: Sequence[Matches]) -> Matches:
+    """The matches of the same pairs of cameras at several moments as one."""
+    names = ("first_pixels", "second_pixels", "first_rays", "second_rays")
+    joined = []
+    for pairs in zip(*(each.pairs for each in moments), strict=True):
+        parts = [np.concatenate([getattr(pair, name) for pair in pairs]) for name in names]
+        joined.append(PairMatches(pairs[0].first, pairs[0].second, *parts))
+    return Matches(tuple(joined))
 
 
 def epipolar_distances(one: Camera, two: Camera, here: F64, there: F64) -> F64:
@@ -116,12 +136,16 @@ def features_of(camera: Camera, picture: U8, mask: U8 | None = None) -> Features
         return Features(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
     corner = [window[1].start or 0, window[0].start or 0]
     pixels = np.array([keypoint.pt for keypoint in keypoints]) + corner + 0.5
-    straight = undistort_pixels(camera, pixels)
-    rays = (straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    rays = rays_of(camera, pixels)
     # Square roots of shares compare better than the descriptors themselves (Arandjelovic and Zisserman, RootSIFT).
     roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
     known = np.isfinite(rays).all(axis=1)
     return Features(pixels[known], rays[known], roots[known].astype(np.float32))
+
+
+def rays_of(camera: Camera, pixels: F64) -> F64:
+    """Rays x/z and y/z (N, 2) that a camera's ``pixels`` (N, 2) show; NaN beyond its lens."""
+    return np.asarray((undistort_pixels(camera, pixels) - [camera.cx, camera.cy]) / [camera.fx, camera.fy])
 
 
 def _window(mask: U8) -> tuple[slice, slice]:

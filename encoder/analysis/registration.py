@@ -74,6 +74,20 @@ def camera_path(pictures: U8) -> CameraPath:
     return CameraPath(displacement, transforms)
 
 
+def find_again(first: U8, now: U8) -> tuple[F64, F64]:
+    """Corners of a picture (H, W, 3), pixels (N, 2), and where they are in another of the same camera."""
+    shown = _normalise(first)
+    corners = _corners(shown)
+    if not len(corners):
+        return np.empty((0, 2)), np.empty((0, 2))
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        shown, _normalise(now), corners, None, winSize=_TRACKED_WINDOW_PIXELS, maxLevel=3, criteria=_SEARCH_CRITERIA
+    )  # type: ignore[call-overload]
+    kept = status.ravel() == 1
+    here, there = (each[kept, 0].astype(np.float64) + 0.5 for each in (corners, found))
+    return here, there
+
+
 def _track(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
     """The similarity (2, 3) from the first picture to another, and its displacement."""
     found, status, _ = cv2.calcOpticalFlowPyrLK(

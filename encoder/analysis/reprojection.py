@@ -8,10 +8,11 @@ cameras they hardly change when one of them turns along the row.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +48,13 @@ _MIN_MOVED_ERRORS = 5.0
 _MAX_LINE_DISTANCE_PIXELS = 15.0
 """Largest distance of a right match from its line, in pixels: a camera turned by three degrees."""
 _NEAREST_MATCHES_SHARE = 0.3
+ON_LINE_PIXELS = 1.5
+"""Distance from its epipolar line within which a match fits: five deviations of SIFT's."""
+_LEFT_ON_LINES = 0.9
+"""Matches that a true turn leaves on their lines, at least; along a row of cameras it puts none there."""
+_SAMPLES = 3000
+"""Of three matches: where a quarter is right, 45 have no wrong one."""
+_SMALL_TURN = 1e-4
 
 
 @dataclass(frozen=True)
@@ -57,13 +65,14 @@ class _Seen:
     rays: F64
 
 
-def turns(cameras: Sequence[Camera], matches: Matches) -> F64:
+def turns(cameras: Sequence[Camera], matches: Matches, wrong: Collection[int] = ()) -> F64:
     """Rotation (cameras,) of each camera against its calibration, in degrees; NaN if undetermined.
 
-    A camera that is moved seems turned. One without which the others agree is excluded before they are judged.
+    A camera that is moved seems turned. One without which the others agree is excluded before they are judged, as are
+    those that are known to be ``wrong``.
     """
-    left = set(range(len(cameras)))
-    misplaced: dict[int, float] = {}
+    left = set(range(len(cameras))) - set(wrong)
+    misplaced = _turns(cameras, matches, left, wrong)
     found = _turns(cameras, matches, left)
     while len(left) > _MIN_CAMERAS:
         suspects = [camera for camera in sorted(left) if is_turned(cameras[camera], found.get(camera, math.nan))]
@@ -77,9 +86,12 @@ def turns(cameras: Sequence[Camera], matches: Matches) -> F64:
     return np.array([found.get(camera, np.nan) for camera in range(len(cameras))])
 
 
-def _turns(cameras: Sequence[Camera], matches: Matches, left: set[int]) -> dict[int, float]:
-    """The turns of the cameras ``left``, judged by each other; without those that are undetermined."""
-    turns = {camera: _turn(cameras, matches, camera, left - {camera}) for camera in sorted(left)}
+def _turns(
+    cameras: Sequence[Camera], matches: Matches, left: set[int], of: Collection[int] | None = None
+) -> dict[int, float]:
+    """The turns of the cameras ``left``, or ``of`` others, judged by those left; without what is undetermined."""
+    judged = sorted(left if of is None else of)
+    turns = {camera: _turn(cameras, matches, camera, left - {camera}) for camera in judged}
     return {camera: turn for camera, turn in turns.items() if not math.isnan(turn)}
 
 
@@ -147,7 +159,7 @@ def triangulate(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, N
 
 
 def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> float:
-    """The rotation that explains most offsets, in degrees: a turn by w moves a ray r by w x r."""
+    """The rotation that explains most offsets, in degrees: a camera's turn by w moves a ray r by -w x r."""
     rays, offsets = reprojections(cameras, matches, camera, others)
     if len(rays) < _MIN_TURN_MATCHES:
         return math.nan
@@ -163,9 +175,66 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
     size = float(np.linalg.norm(turn))
     missed, moved = (float(np.median(np.linalg.norm(each, axis=1))) for each in (offsets - rows @ turn, rows @ turn))
     # A turn that leaves most offsets as they were is the mean of wrong matches; one that moves the few matches of a
-    # single performer by no more than their errors is a roll about the place where they are.
+    # single performer by no more than their errors is a roll about the place where they are. What few points explain
+    # must not take matches off their lines.
     explains = missed < min(_MAX_RESIDUAL_SHARE * size, moved * math.sqrt(len(rays)) / _MIN_MOVED_ERRORS)
+    lines = Lines.of(cameras, matches, camera, others)
+    given, found = lines.count_on(np.zeros(3)), lines.count_on(-turn)
+    explains &= found >= _LEFT_ON_LINES * given
     return math.degrees(size) if explains or not is_turned(cameras[camera], math.degrees(size)) else math.nan
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A camera's matches (N,) with others, and their distances from the others' epipolar lines, in pixels.
+
+    ``pairs``: the other camera, own rays x/z, y/z (n, 2), and the other's.
+    """
+
+    camera: Camera
+    pairs: Sequence[tuple[Camera, F64, F64]]
+
+    @staticmethod
+    def of(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> Lines:
+        """The matches of one of the ``cameras`` with ``others``."""
+        found = [(pair, other) for pair in matches.pairs for other in _partner(pair, camera) if other in others]
+        pairs = [(cameras[other], _own(pair, camera).rays, _own(pair, other).rays) for pair, other in found]
+        return Lines(cameras[camera], pairs)
+
+    def __len__(self) -> int:
+        return sum(len(own) for _, own, _ in self.pairs)
+
+    def distances(self, turn: F64) -> F64:
+        """Signed distances (N,) if the camera were turned by ``turn`` (3,), radians, against its calibration."""
+        pose = self.camera.world_to_camera.copy()
+        pose[:3] = cv2.Rodrigues(np.asarray(turn, np.float64))[0] @ pose[:3]
+        here = replace(self.camera, world_to_camera=pose)
+        return np.concatenate([np.empty(0), *(epipolar_distances(here, *pair) for pair in self.pairs)])
+
+    def count_on(self, turn: F64) -> int:
+        """How many lie on their lines."""
+        return int((np.abs(self.distances(turn)) < ON_LINE_PIXELS).sum())
+
+    def turn(self) -> F64 | None:
+        """The turn (3,), radians, that puts most matches on their lines, though most may be wrong; None if too few.
+
+        Random sample consensus of three matches each (Fischler and Bolles 1981), then least squares.
+        """
+        if len(self) < _MIN_PAIR_MATCHES:
+            return None
+        at = self.distances(np.zeros(3))
+        slopes = np.stack([(self.distances(_SMALL_TURN * axis) - at) / _SMALL_TURN for axis in np.eye(3)], axis=1)
+        chosen = np.random.default_rng(0).integers(0, len(at), (_SAMPLES, 3))
+        sure = np.abs(np.linalg.det(slopes[chosen])) > 1e-6 * np.abs(slopes).mean() ** 3
+        tried = -np.linalg.solve(slopes[chosen[sure]], at[chosen[sure], None])[..., 0]
+        tried = tried[np.linalg.norm(tried, axis=1) < _MAX_OFFSET]
+        if not len(tried):
+            return None
+        best = tried[np.argmax((np.abs(at + tried @ slopes.T) < ON_LINE_PIXELS).sum(axis=1))]
+        for _ in range(_TURN_ROUNDS):
+            near = np.abs(at + slopes @ best) < ON_LINE_PIXELS
+            best = -np.linalg.lstsq(slopes[near], at[near], rcond=None)[0]
+        return np.asarray(best)
 
 
 def _partner(pair: PairMatches, camera: int) -> Iterator[int]:

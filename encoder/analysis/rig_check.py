@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,16 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
 
 from ..keyframe.backdrop.stage import PlainStage
-from .matches import Matches
-from .reprojection import MAX_RAYS_ANGLE, epipolar_residuals, is_turned, triangulate, turns
+from ..parallel import Each
+from ..synchronisation.starts import frames_late
+from .faults import HARMFUL, SWAPPED, Fault, Findings, faults_of, verdict_on
+from .light import Mismatch
+from .matches import Matches, features_of, join_matches, match_features
+from .poses import connections, find_swaps, judge_poses, moments_of
+from .recordings import sharpness
+from .reprojection import MAX_RAYS_ANGLE, triangulate, turns
 from .rig_statistics import RigStatistics, typical_noise
 from .stage_check import first_met
-from .synchrony import delays
 
 F64 = NDArray[np.float64]
 
@@ -32,10 +38,17 @@ _RIGHT_SEEN_SHARE, _ROUGH_SEEN_SHARE = 0.7, 0.35
 """Least share of a camera's pixels that two others see."""
 _RIGHT_GAP, _ROUGH_GAP = math.radians(20), math.radians(45)
 """Largest angle to the nearest camera that sees the same surface."""
-_MISPLACED_PIXELS = 0.5
-"""Least distance of a misplaced camera's matches from their epipolar lines, in pixels ..."""
-_MISPLACED_RATIO = 4.0
-"""... and in multiples of the other cameras' median."""
+_CONNECTED_SHARE = 0.8
+"""Least share of a dense rig's cameras that have matches with two others: `mouse_cage` has .75."""
+DENSE = "dense"
+_DENSE_GAP = 16.0
+"""Largest median angle, degrees, to the nearest camera in a dense rig."""
+_PSNR = {DENSE: (30, 35), RIGHT: (20, 34), ROUGH: (20, 34), WRONG: (9, 25)}
+"""PSNR, dB, of whole pictures of cameras left out. Eight dense rigs have 30.2 to 34.8; of others `mouse_cage` 20.5,
+`stage` 21.9, `green` 32.4; `desk`, `balance` and `assembly_table` 8.7 to 15.7, stages of four to eight cameras 16.8 to
+25.7 (report/rigs.md, DESIGN.md)."""
+_BASIS = "whole pictures of cameras left out, preset standard, on the 13 rigs measured: a class, no forecast"
+_COLUMNS = 80
 _GRID_SIZE = 16, 12
 """Columns and rows of the pixels that stand for a picture."""
 _MIN_DEPTH_POINTS = 25
@@ -49,7 +62,8 @@ class CameraCheck:
     the nearest of them, on a plain stage over what stands in front of the backdrop; NaN without any.
     ``residual``: distance, pixels, of the nearer matches of its best pair from their epipolar lines; ``turned``:
     degrees against the calibration, as the others' points say; both NaN where matches are too few. ``late``: frames
-    behind the others; NaN where too little moves.
+    behind the others; NaN where too little moves. ``connected``: the cameras that it has matches with, and how many lie
+    on their lines. ``trouble``: words for its ``faults``; ``verdict``: GOOD, USABLE or HARMFUL.
     """
 
     camera: str
@@ -60,6 +74,38 @@ class CameraCheck:
     turned: float
     late: float
     misplaced: bool
+    connected: Mapping[str, int]
+    sharpness: float
+    noise: float
+    stops: float
+    trouble: tuple[str, ...]
+    verdict: str
+    faults: tuple[Fault, ...]
+
+    def cells(self) -> Iterator[str]:
+        """The figures of the camera's row in the table."""
+        figures = (
+            (self.seen_by_one, 9, ".0%", ""),
+            (self.seen_by_two, 5, ".0%", ""),
+            (self.gap, 7, ".0f", " deg"),
+            (sum(self.connected.values()) or math.nan, 7, ".0f", ""),
+            (self.residual, 7, ".2f", " px"),
+            (self.turned, 8, ".2f", " deg"),
+            (self.late, 4, ".2g", ""),
+        )
+        for value, width, as_text, unit in figures:
+            yield f"{_or_none(value, as_text, unit):>{width}}"
+
+    def judgement(self) -> str:
+        """The verdict, with the first fault; the others are in the warnings."""
+        more = f" +{len(self.trouble) - 1}" if len(self.trouble) > 1 else ""
+        return f"{self.verdict}: {self.trouble[0]}{more}" if self.trouble else self.verdict
+
+    def to_json(self) -> dict[str, Any]:
+        """Its figures and words; NaN where nothing is known."""
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "faults"} | {
+            "reasons": [str(fault) for fault in self.faults]
+        }
 
 
 @dataclass(frozen=True)
@@ -72,37 +118,64 @@ class RigCheck:
     def warnings(self) -> Iterator[str]:
         """What the user should know before encoding, one line each."""
         for camera in self.cameras:
-            if camera.misplaced:
-                how = f"rotated by {camera.turned:.1f} degrees" if math.isfinite(camera.turned) else "misplaced"
-                yield (
-                    f"camera {camera.camera} appears {how} against its calibration: its matches do not fit the other "
-                    "cameras' poses; calibrate it again, or leave it out"
-                )
-            if camera.late in (-1, 1):
-                how, theirs = ("late", "previous") if camera.late > 0 else ("early", "next")
-                yield (
-                    f"camera {camera.camera} appears one frame {how}: its motion matches the other cameras' {theirs} "
-                    "frame; shift its frames, or leave it out"
-                )
+            yield from (str(fault) for fault in camera.faults)
         if self.expected == WRONG:
             yield f"{_EXPECTATIONS[WRONG]}: {self._why()}; add cameras in between"
 
+    @property
+    def psnr(self) -> tuple[int, int] | None:
+        """What new views between the cameras had, dB, on the rigs that are known to be alike; None where none is."""
+        if self.expected is None:
+            return None
+        is_dense = self.expected == RIGHT and self._connected() and self._gap() <= _DENSE_GAP
+        return _PSNR[DENSE if is_dense else self.expected]
+
+    @property
+    def harmful(self) -> tuple[str, ...]:
+        """The cameras that are better left out."""
+        return tuple(camera.camera for camera in self.cameras if camera.verdict == HARMFUL)
+
+    def advice(self) -> str:
+        """What would help most, in a line; empty where nothing would."""
+        swapped = [camera.camera for camera in self.cameras if SWAPPED in camera.trouble]
+        if swapped:
+            return f"exchange the files of {' and '.join(swapped[:2])}, and look again"
+        if self.harmful:
+            options = " ".join(f"--exclude {name}" for name in self.harmful)
+            return f"mend {', '.join(self.harmful)}, or leave out what does harm: {options}"
+        gaps = [camera for camera in self.cameras if math.isfinite(camera.gap)]
+        if self.expected in (ROUGH, WRONG):
+            widest = max(gaps, key=lambda camera: camera.gap).camera if gaps else self.cameras[0].camera
+            return f"more cameras in between, first beside {widest}"
+        alone = [camera.camera for camera in self.cameras if not camera.connected]
+        if alone and self.expected is not None:
+            return f"a camera beside {alone[0]}, whose pictures no other matches"
+        return ""
+
+    def summary(self) -> Iterator[str]:
+        """What to expect, from what, and what would help, a sentence each."""
+        if self.expected is not None and self.psnr is not None:
+            yield f"{_EXPECTATIONS[self.expected]}: {self._why()}"
+            yield f"expected of new views: {self.psnr[0]} to {self.psnr[1]} dB ({_BASIS})"
+        if self.advice():
+            yield f"what would help most: {self.advice()}"
+
     def table(self) -> Iterator[str]:
         """For the user: the verdict, and a row per camera."""
-        if self.expected is not None:
-            yield f"{_EXPECTATIONS[self.expected]}: {self._why()}"
-        yield "camera                seen by one  by two  nearest view  epipolar residual    rotated  frames late"
+        for sentence in self.summary():
+            yield from in_columns(sentence)
+        width = max(6, *(len(each.camera) for each in self.cameras), 6)
+        yield (f"{'camera':<{width}}  seen by: 1     2 nearest matches  off by   turned late  verdict")
         for each in self.cameras:
-            figures = (
-                (each.seen_by_one, 11, ".0%", ""),
-                (each.seen_by_two, 6, ".0%", ""),
-                (each.gap, 12, ".0f", " deg"),
-                (each.residual, 17, ".2f", " px"),
-                (each.turned, 9, ".2f", " deg"),
-                (each.late, 11, ".0f", ""),
-            )
-            cells = [f"{_or_none(value, as_text, unit):>{width}}" for value, width, as_text, unit in figures]
-            yield "  ".join([f"{each.camera:<20}", *cells])
+            yield " ".join([f"{each.camera:<{width}} ", *each.cells(), "", each.judgement()])
+
+    def _gap(self) -> float:
+        gaps = [camera.gap for camera in self.cameras if math.isfinite(camera.gap)]
+        return float(np.median(gaps)) if gaps else math.inf
+
+    def _connected(self) -> bool:
+        """Whether nearly all cameras have matches with two others, which place what they see."""
+        return sum(len(camera.connected) >= 2 for camera in self.cameras) >= _CONNECTED_SHARE * len(self.cameras)
 
     def _why(self) -> str:
         shares = [_known(each.seen_by_two) for each in self.cameras]
@@ -111,43 +184,123 @@ class RigCheck:
         return f"two other cameras see {np.median(shares):.0%} of a camera's pixels{near} (medians)"
 
 
-def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) -> RigCheck:
-    """Judges a rig by its calibration, the matches of its first pictures, and those of what moves."""
-    late = np.full(len(stats.cameras), np.nan)
-    if stats.step == 1:
-        noise = typical_noise(stats.noise).tolist()
-        steady = [not path.shakes for path in stats.paths]
-        late = delays(stats.cameras, stats.pictures, steady, noise, each)
-    return judge_rig(stats.cameras, stats.matches, late, stats.stage)
+def in_columns(sentence: str) -> list[str]:
+    """A sentence in lines of a terminal, those after the first indented."""
+    return textwrap.wrap(sentence, _COLUMNS, subsequent_indent="    ", break_on_hyphens=False, break_long_words=False)
 
 
-def judge_rig(cameras: Sequence[Camera], matches: Matches, late: F64, stage: PlainStage | None = None) -> RigCheck:
+def check_rig(stats: RigStatistics, each: Each) -> RigCheck:
+    """Judges a rig by its calibration, the matches of its pictures, those of what moves, and the pictures."""
+    noise = typical_noise(stats.noise)
+    late = stats.step * frames_late(stats.cameras, stats.pictures, each)
+    found = [
+        Findings(
+            name,
+            lost=[stats.frames[k] for k in np.flatnonzero(stats.recordings.dead(row))],
+            hung=[stats.frames[k] for k in np.flatnonzero(stats.recordings.hung(row))],
+            dropped=[stats.frames[k] for k in np.flatnonzero(stats.recordings.dropped(row))],
+            sharpness=float(sharp),
+            noise=float(noise[row]),
+            usual_noise=float(np.median(noise)),
+            stops=float(stops),
+            moving=stats.moving[row],
+        )
+        for row, (name, sharp, stops) in enumerate(
+            zip(stats.names, _least(sharpness(stats.details, noise)), _stops(stats.mismatch), strict=True)
+        )
+    ]
+    matches, swaps = _matches_in_place(stats, late, each)
+    if swaps:  # Light was compared at points that the exchanged pictures do not share.
+        found = [replace(own, stops=math.nan) for own in found]
+    first = matches if swaps else stats.matches
+    return judge_rig(stats.cameras, first, late, stats.stage, pooled=matches, found=found, swaps=swaps)
+
+
+def judge_rig(
+    cameras: Sequence[Camera],
+    matches: Matches,
+    late: F64,
+    stage: PlainStage | None = None,
+    *,
+    pooled: Matches | None = None,
+    found: Sequence[Findings] | None = None,
+    swaps: Sequence[tuple[int, int]] = (),
+) -> RigCheck:
     """The check by the matches of the cameras' first pictures; ``late`` (cameras,) in frames, NaN where unknown.
 
-    On a plain ``stage``, whose backdrop has no matches, its surfaces and hull say what the cameras see.
+    ``pooled``: matches of more moments, by which poses are judged.
+
+    On a plain ``stage``, whose backdrop has no matches, its surfaces and hull say what the cameras see. ``found``: what
+    the pictures tell of the cameras. ``swaps``: cameras with each other's pictures, whose ``matches`` are in place.
     """
-    residuals, turned_by = epipolar_residuals(cameras, matches), turns(cameras, matches)
-    known = residuals[np.isfinite(residuals)]
-    usual = float(np.median(known)) if len(known) else math.nan
+    poses = judge_poses(cameras, matches if pooled is None else pooled)
+    connected = connections(cameras, matches)
+    other = {row: cameras[pair[1 - k]].name for pair in swaps for k, row in enumerate(pair)}
     checks = []
     for row, camera in enumerate(cameras):
         shown = _matched_surface(cameras, matches, row) if stage is None else _stage_surface(stage, camera)
         by_one, by_two, gap = _coverage(cameras, row, shown)
-        beside = residuals[row] >= max(_MISPLACED_PIXELS, _MISPLACED_RATIO * usual)
-        misplaced = is_turned(camera, turned_by[row]) if math.isfinite(turned_by[row]) else beside
+        own = replace(
+            Findings(camera.name) if found is None else found[row],
+            swapped=other.get(row),
+            misplaced=bool(poses.misplaced[row]),
+            turned=float(poses.turned[row]),
+            residual=float(poses.residuals[row]),
+            late=float(late[row]),
+        )
+        faults = tuple(faults_of(own))
         checks.append(
             CameraCheck(
                 camera.name,
                 seen_by_one=by_one,
                 seen_by_two=by_two,
                 gap=gap,
-                residual=float(residuals[row]),
-                turned=float(turned_by[row]),
-                late=float(late[row]),
-                misplaced=bool(misplaced),
+                residual=own.residual,
+                turned=own.turned,
+                late=own.late,
+                misplaced=own.misplaced,
+                connected={cameras[k].name: count for k, count in sorted(connected[row].items())},
+                sharpness=own.sharpness,
+                noise=own.noise,
+                stops=own.stops,
+                trouble=tuple(fault.word for fault in faults),
+                verdict=verdict_on(faults),
+                faults=faults,
             )
         )
     return RigCheck(tuple(checks), _expected(checks))
+
+
+def _matches_in_place(stats: RigStatistics, late: F64, each: Each) -> tuple[Matches, list[tuple[int, int]]]:
+    """Matches that suffice to judge poses, with exchanged pictures in their places, and which these are.
+
+    Of a late camera, by the frames that show the others' moments.
+    """
+    shift = np.rint(np.nan_to_num(late)).astype(int)
+    frames = len(stats.frames)
+    begin, end = max(0, -shift.min()), frames - max(0, shift.max())
+    moments = [begin + k for k in moments_of(end - begin)] if end > begin else [0]
+    undecided = np.isnan(turns(stats.cameras, stats.matches)).any() or shift.any()
+    if not undecided:
+        return stats.matches, []
+    rows = range(len(stats.cameras))
+    features = [
+        list(each(features_of, stats.cameras, [stats.pictures[k][min(frames - 1, at + shift[k])] for k in rows]))
+        for at in moments
+    ]
+    matches = join_matches([match_features(stats.cameras, seen, each) for seen in features])
+    swaps, in_place = find_swaps(stats.cameras, features, matches)
+    return in_place, swaps
+
+
+def _stops(found: Mismatch) -> F64:
+    """Each camera's exposure (cameras,) against the median camera, in stops, as far as its points share it."""
+    return np.asarray(np.where(found.shares[:, 0] != 0, found.gains[:, 0], 0.0) / math.log(2))
+
+
+def _least(sharp: F64) -> F64:
+    """The smaller of a camera's ratios (cameras, n); NaN where none is known."""
+    return np.asarray(np.fmin.reduce(sharp, axis=1))
 
 
 def _expected(checks: Sequence[CameraCheck]) -> str | None:

@@ -28,6 +28,8 @@ from ..keyframe.backdrop.stage import PlainStage, find_stage
 from ..parallel import Each, ahead, side_by_side
 from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points
 from .matches import Matches, find_matches
+from .moving import moves_through
+from .recordings import BANDS, Recordings, detail, find_lost
 from .registration import CameraPath, camera_path
 
 F64 = NDArray[np.float64]
@@ -52,7 +54,9 @@ class RigStatistics:
     ``cameras`` at the analysed size (lens included), ``scales`` that size over the rig's. ``frames``: the rig's
     numbers of the analysed frames, every ``step``-th. ``pictures``: per camera (F, H, W, 3) uint8, display-referred.
     ``noise`` (cameras, F): standard deviation of the difference of successive pictures over sqrt 2, in 8-bit levels of
-    full-size pixels. ``stage``: the plain one of the first frame, seen in these pictures; None where there is none.
+    full-size pixels. ``recordings``: which pictures are lost; ``details`` (cameras, BANDS): of the first pictures, at
+    full size. ``moving``: whether a camera moves through the scene. ``stage``: the plain one of the first frame, seen
+    in these pictures; None where there is none.
     """
 
     cameras: tuple[Camera, ...]
@@ -65,6 +69,9 @@ class RigStatistics:
     mismatch: Mismatch
     paths: tuple[CameraPath, ...]
     matches: Matches
+    recordings: Recordings
+    details: F64
+    moving: tuple[bool, ...]
     stage: PlainStage | None = None
 
     @property
@@ -92,7 +99,7 @@ def gather_statistics(
     steps = _Steps(len(chosen) + 2 * len(cameras), on_step)
     with side_by_side(threads) as each:
         recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
-        pictures, noise = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
+        pictures, noise, details = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
         matches = find_matches(cameras, [own[0] for own in pictures], each)
         stage = _stage(cameras, [own[0] for own in pictures])
         points = shared_points(cameras, matches, stage)
@@ -100,17 +107,22 @@ def gather_statistics(
         lights = [steps.count(found) for found in each(light_at, pictures, pixels)]
         light = own_light(points, lights, list(each(light_overall, pictures)))
         paths = [steps.count(path) for path in each(camera_path, pictures)]
+        recordings = find_lost(pictures)
+        moving = tuple(each(moves_through, cameras, pictures, paths))
     return RigStatistics(
         cameras,
         scales,
         tuple(chosen),
         chosen.step,
         tuple(pictures),
-        _of_resting(noise, paths),
+        _of_resting(recordings.without_lost(noise), paths),
         light,
         mismatch(points, lights),
         tuple(paths),
         matches,
+        recordings,
+        details,
+        moving,
         stage,
     )
 
@@ -154,21 +166,24 @@ def _thin(span: range, cameras: Sequence[Camera]) -> range:
 
 def _read(
     frames: Iterable[tuple[int, list[Picture]]], cameras: Sequence[Camera], chosen: range, each: Each, steps: _Steps
-) -> tuple[list[U8], F64]:
-    """Small pictures of every camera, and the noise (cameras, F)."""
+) -> tuple[list[U8], F64, F64]:
+    """Small pictures of every camera, the noise (cameras, F), and the details of the first pictures."""
     pictures = [np.empty((len(chosen), camera.height, camera.width, 3), np.uint8) for camera in cameras]
     noise = np.full((len(cameras), len(chosen)), np.nan)
     before: list[F32] = []
+    details = np.zeros((len(cameras), BANDS))
     noisy = _noise_columns(len(chosen))
     for column, (_, now) in enumerate(frames):
         for row, small in enumerate(each(_small, now, cameras)):
             pictures[row][column] = small
+        if column == 0:
+            details = np.array(list(each(detail, now)))
         sparse = list(each(_sparse, now)) if {column, column + 1} & noisy else []
         if column in noisy:
             noise[:, column] = list(each(picture_noise, before, sparse))
         before = sparse
         steps.count(None)
-    return pictures, noise
+    return pictures, noise, details
 
 
 def _noise_columns(frames: int) -> set[int]:

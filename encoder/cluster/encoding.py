@@ -67,6 +67,7 @@ def encode_on_cluster(
         targets=None,
         frames=take,
         holdout=tuple(job.holdout),
+        exclude=tuple(job.exclude),
         keyframe=None if job.keyframe is None else os.fspath(Path(job.keyframe).absolute()),
         resume=False,
         threads=0,

@@ -17,7 +17,7 @@ from ..cameras import Camera
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
 from ..rigs import Rig
-from ..rigs.sources import FrameSource, PictureSource, pictures_in
+from ..rigs.sources import CutSource, FrameSource, PictureSource, pictures_in
 from ..videos import VideoSource, open_video
 from .places import places_of_cameras
 
@@ -158,9 +158,12 @@ def _opened(place: Path, camera: Camera, source: FrameSource, count: int, frames
     files = _pictures_at(place)
     if not files and not place.is_dir():
         video = open_video(place)
+        mattes = _MatteVideo(**vars(video))
+        if isinstance(source, CutSource) and video.frame_count == source.source.frame_count:
+            return replace(source, source=mattes)
         if video.frame_count != count:
             raise RigError(f"{place}: {video.frame_count} frames, but the rig has {count}; cut both to the same frames")
-        return _MatteVideo(**vars(video))
+        return mattes
     return _checked(place, camera, _by_frame(files, source, count), frames)
 
 
@@ -198,6 +201,8 @@ def _pictures_at(place: Path) -> tuple[Path, ...]:
 
 def _by_frame(files: tuple[Path, ...], source: FrameSource, count: int) -> tuple[Path, ...]:
     """The files in the order of the rig's frames; a path that is no file where there is none."""
+    if isinstance(source, CutSource) and len(files) == source.source.frame_count:
+        return files[source.first :: source.step][:count]
     numbers = PictureSource(Path(), files, 0, 0).frame_numbers()
     of_rig = source.frame_numbers() if isinstance(source, PictureSource) else None
     if len(files) == count and (numbers is None or of_rig is None or set(numbers) != set(of_rig)):

@@ -13,18 +13,41 @@ from ..pictures import PICTURE_SUFFIXES, Picture
 from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
 from .detection import calibration_files, reader_at
+from .in_step import in_step
 from .live import open_live
-from .rig import Points, Rig
+from .rig import Points, Rig, without_cameras
 from .sources import FrameSource, PictureSource, list_folder
 
-__all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_live", "open_rig", "read_frames"]
+__all__ = [
+    "FrameSource",
+    "Points",
+    "Rig",
+    "files_of",
+    "files_with",
+    "in_step",
+    "open_live",
+    "open_recordings",
+    "open_rig",
+    "read_frames",
+    "without_cameras",
+]
 
 
 def open_rig(path: str | os.PathLike[str]) -> Rig:
     """The rig in a folder, or calibrated by the given calibration file or COLMAP model folder.
 
-    Detects the layout, reads the calibration, and compares frame counts, sizes and rates of all cameras; no frame is
-    decoded, but the first of EXR that have alpha. Raises RigError, in one line, on anything that does not fit.
+    Detects the layout, reads the calibration, and compares frame counts, sizes and rates of all cameras, or brings them
+    in step where the calibration states their starts; no frame is decoded, but the first of EXR that have alpha. Raises
+    RigError, in one line, on anything that does not fit.
+    """
+    rig = open_recordings(path)
+    return in_step(rig, rig.starts)
+
+
+def open_recordings(path: str | os.PathLike[str]) -> Rig:
+    """The rig as `open_rig` finds it, with whole recordings: their lengths, rates and starts may differ.
+
+    Its frame k is an instant of each camera's own. Raises RigError.
     """
     folder = Path(path)
     if not os.path.exists(folder):

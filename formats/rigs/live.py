@@ -20,6 +20,7 @@ from ..errors import RecordingEnded, RigError
 from ..pictures import Picture, picture_facts, read_picture
 from .detection import reader_at
 from .fields import Fields, read_toml
+from .in_step import in_step
 from .rig import Rig, assemble_rig
 
 LAYOUT = "live"
@@ -146,17 +147,20 @@ def open_live(file: str | os.PathLike[str]) -> Rig:
         raise fields.wrong("first", "is below 0")
     chosen = [by_name[name] for name in recording.names]
     pairs = [(camera, LiveSource(recording.file(camera.name, 0).parent, camera, recording)) for camera in chosen]
-    return assemble_rig(
-        path.parent,
-        LAYOUT,
-        pairs,
-        [path, *calibrated.calibration],
-        resizable=False,
-        fps=recording.fps,
-        points=calibrated.points,
-        source_text=calibrated.source_text,
-        licence=calibrated.licence,
-        length_unit=calibrated.length_unit,
+    return in_step(
+        assemble_rig(
+            path.parent,
+            LAYOUT,
+            pairs,
+            [path, *calibrated.calibration],
+            resizable=False,
+            fps=recording.fps,
+            points=calibrated.points,
+            source_text=calibrated.source_text,
+            licence=calibrated.licence,
+            length_unit=calibrated.length_unit,
+        ),
+        {},
     )
 
 

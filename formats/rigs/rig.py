@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,11 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras import Camera, scale_camera
-from ..errors import RigError
+from ..errors import RigError, UsageError
 from .sources import FrameSource, PictureSource, natural_key
-
-_SAME_RATE = 5e-4
-"""Relative; 29.97 and 30 frames per second are 1e-3 apart, and out of step by a frame after 33 seconds."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +28,14 @@ class Points:
 
 @dataclass(frozen=True)
 class Rig:
-    """Synchronised, calibrated, fixed cameras; frame k of every source is the same instant.
+    """Synchronised, calibrated, fixed cameras; frame k of every source is the same instant, which `in_step` sees to.
 
     ``cameras`` and ``sources`` are parallel, in natural order of the camera names; each camera has the size of its
     source. ``fps`` is None for single pictures and picture folders without a stated rate. ``calibration``: the files
     that the cameras and points were read from. ``warnings``: what the user should know, one line each.
     ``length_unit``: a world unit in words, where the calibration has one. ``ignore_masks``: by camera, the pictures
-    that the calibration names for pixels that teach nothing, which are black; each once.
+    that the calibration names for pixels that teach nothing, which are black; each once. ``starts``: by camera, when
+    its first picture was taken, in frames on a common clock, as the calibration states it.
     """
 
     path: Path
@@ -53,6 +51,7 @@ class Rig:
     warnings: tuple[str, ...] = ()
     length_unit: str = ""
     ignore_masks: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+    starts: Mapping[str, float] = field(default_factory=dict)
 
 
 def assemble_rig(
@@ -68,7 +67,7 @@ def assemble_rig(
     licence: str = "",
     length_unit: str = "",
 ) -> Rig:
-    """Cross-checks the cameras and their sources, and puts them in natural order.
+    """Cross-checks the cameras and their sources, and puts them in natural order; not yet in step (`in_step.in_step`).
 
     ``resizable``: the calibration may be for another resolution of the same picture (all cameras by the same factor);
     its intrinsics are then rescaled. ``fps`` overrides the videos' own rate.
@@ -82,9 +81,6 @@ def assemble_rig(
         for camera, source in sorted(pairs, key=lambda pair: natural_key(pair[0].name))
     ]
     sources = tuple(source for _, source in ordered)
-    rate = fps if fps is not None else _common_rate(sources)  # first: another rate means another count, too
-    _check_frame_counts(sources)
-    _check_frame_numbers(sources)
     cameras = tuple(_fit_to_source(camera, source, resizable) for camera, source in ordered)
     _check_one_scale([camera for camera, _ in ordered], sources)
     return Rig(
@@ -92,8 +88,8 @@ def assemble_rig(
         layout,
         cameras,
         sources,
-        rate,
-        sources[0].frame_count,
+        fps,
+        min(source.frame_count for source in sources),
         points,
         source_text,
         licence,
@@ -103,23 +99,30 @@ def assemble_rig(
     )
 
 
+def without_cameras(rig: Rig, names: Collection[str]) -> Rig:
+    """The rig without the cameras of these ``names``, as if they had never been there.
+
+    Raises UsageError for a name that no camera has, or where none is left.
+    """
+    unknown = sorted(set(names) - {camera.name for camera in rig.cameras})
+    if unknown:
+        known = ", ".join(camera.name for camera in rig.cameras)
+        raise UsageError(f"`exclude` {unknown[0]}: {rig.path} has no such camera; its cameras are {known}")
+    kept = [k for k, camera in enumerate(rig.cameras) if camera.name not in names]
+    if not kept:
+        raise UsageError(f"`exclude`: no camera of {rig.path} is left; leave at least one")
+    return replace(rig, cameras=tuple(rig.cameras[k] for k in kept), sources=tuple(rig.sources[k] for k in kept))
+
+
 def _warnings(sources: Sequence[FrameSource]) -> Iterator[str]:
     """What the frames say of themselves that is not an error, but shows in what becomes of them."""
-    timed = [(source, source.fps) for source in sources if source.fps is not None and source.frame_count > 1]
-    if timed:
-        usual_source, usual = timed[_usual([round(fps, 2) for _, fps in timed])]
-        others = [(source, fps) for source, fps in timed if abs(fps - usual) > _SAME_RATE * usual]
-        if others:
-            yield (
-                f"{others[0][0].path}{_more(others)}: {others[0][1]:.3f} frames per second, but "
-                f"{usual_source.path.name} has {usual:.3f}; frames of one number are taken as one instant"
-            )
     for text in dict.fromkeys(text for source in sources for text in source.warnings):
         those = [source for source in sources if text in source.warnings]
-        yield f"{those[0].path}{_more(those)}: {text}"
+        yield f"{those[0].path}{more(those)}: {text}"
 
 
-def _more(found: Sequence[object]) -> str:
+def more(found: Sequence[object]) -> str:
+    """ " and 3 more" than the first, for a message; empty where there is one."""
     return f" and {len(found) - 1} more" if len(found) > 1 else ""
 
 
@@ -133,40 +136,9 @@ def _check_names(path: Path, names: list[str]) -> None:
         raise RigError(f"{path}: two cameras are called {twice[0]!r}; give every camera its own name")
 
 
-def _usual(values: Sequence[Hashable]) -> int:
+def usual(values: Sequence[Hashable]) -> int:
     """Index of the first camera that has the most common value."""
     return values.index(Counter(values).most_common(1)[0][0])
-
-
-def _check_frame_counts(sources: Sequence[FrameSource]) -> None:
-    counts = [source.frame_count for source in sources]
-    usual = _usual(counts)
-    for source in sources:
-        if source.frame_count != counts[usual]:
-            raise RigError(
-                f"{source.path}: {source.frame_count} frames, but {sources[usual].path.name} has {counts[usual]}; "
-                "cut all cameras to the same frames"
-            )
-
-
-def _check_frame_numbers(sources: Sequence[FrameSource]) -> None:
-    """Picture folders with as many files, but not of the same frames, would be out of step."""
-    numbered = [
-        (source, numbers)
-        for source in sources
-        if isinstance(source, PictureSource) and source.frame_count > 1 and (numbers := source.frame_numbers())
-    ]
-    if not numbered:
-        return
-    usual_source, usual_numbers = numbered[_usual([tuple(numbers) for _, numbers in numbered])]
-    for source, numbers in numbered:
-        lacking = sorted(set(usual_numbers) - set(numbers))
-        if lacking:
-            frame = " ".join(map(str, lacking[0]))
-            raise RigError(
-                f"{source.path}: no picture of frame {frame}, which {usual_source.path.name} has; "
-                "give all cameras the same frames"
-            )
 
 
 def _as_calibrated(camera: Camera, source: FrameSource, resizable: bool) -> FrameSource:
@@ -207,24 +179,10 @@ def _fit_to_source(camera: Camera, source: FrameSource, resizable: bool) -> Came
 
 def _check_one_scale(calibrated: Sequence[Camera], sources: Sequence[FrameSource]) -> None:
     scales = [source.width / camera.width for camera, source in zip(calibrated, sources, strict=True)]
-    usual = _usual([round(scale, 2) for scale in scales])
+    most = usual([round(scale, 2) for scale in scales])
     for source, scale in zip(sources, scales, strict=True):
-        if abs(scale - scales[usual]) > 0.02 * scales[usual]:
+        if abs(scale - scales[most]) > 0.02 * scales[most]:
             raise RigError(
                 f"{source.path}: {source.width} x {source.height} pixels is {scale:.2f} times its calibrated size, "
-                f"but {sources[usual].path.name} is {scales[usual]:.2f} times; resize all cameras alike"
+                f"but {sources[most].path.name} is {scales[most]:.2f} times; resize all cameras alike"
             )
-
-
-def _common_rate(sources: Sequence[FrameSource]) -> float | None:
-    timed = [(source, source.fps) for source in sources if source.fps is not None and source.frame_count > 1]
-    if not timed:
-        return None
-    usual_source, usual = timed[_usual([round(fps, 1) for _, fps in timed])]
-    for source, fps in timed:
-        if abs(fps - usual) > 0.01 * usual:
-            raise RigError(
-                f"{source.path}: {fps:.3f} frames per second, but {usual_source.path.name} has {usual:.3f}; "
-                "bring all videos to one rate"
-            )
-    return usual

@@ -7,6 +7,7 @@ docs/rig.md has every field. In this file the centre of the top left pixel is (0
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -15,6 +16,7 @@ from ..errors import RigError
 from .calibration import calibrated_camera, rigid_pose
 from .colmap import has_model, model_files, read_points
 from .fields import Fields, read_json
+from .in_step import MAX_START, common_rate
 from .rig import Rig, assemble_rig
 from .sources import open_source
 
@@ -28,12 +30,14 @@ def read_rig_json(folder: Path) -> Rig:
     path = folder / CALIBRATION
     fields = read_json(path)
     shift = _pixel_shift(fields)
-    pairs = []
+    pairs, starts = [], dict[str, float]()
     for record in fields.records("cameras"):
         file = record.path("file", folder)
         if not os.path.exists(file):
             raise RigError(f"{record.where}: {file} is missing; put it back or remove the camera from {path.name}")
         pairs.append((_camera(record, shift), open_source(file)))
+        if "start" in record:
+            starts[pairs[-1][0].name] = record.number("start")
     model = fields.path("colmap_model", folder, "sparse/0")
     if "colmap_model" in fields and not has_model(model):
         raise fields.wrong("colmap_model", f"names {model}, where no COLMAP model lies")
@@ -53,7 +57,21 @@ def read_rig_json(folder: Path) -> Rig:
         raise fields.wrong(
             "frame_count", f"is {fields.integer('frame_count')}, but the cameras have {rig.frame_count} frames"
         )
-    return rig
+    return replace(rig, starts=_in_frames(fields, starts, rig))
+
+
+def _in_frames(fields: Fields, starts: dict[str, float], rig: Rig) -> dict[str, float]:
+    """The starts in frames, whatever their unit in the file."""
+    unit, rate = fields.text("start_unit", "frames"), common_rate(rig)
+    if unit not in ("frames", "seconds"):
+        raise fields.wrong("start_unit", f"is {unit!r}, neither 'frames' nor 'seconds'")
+    if unit == "seconds" and rate is None:
+        raise fields.wrong("start_unit", "is 'seconds', but no frame rate is known; state 'fps'")
+    frames = {name: start * (1.0 if unit == "frames" or rate is None else rate) for name, start in starts.items()}
+    for name, start in frames.items():
+        if abs(start) > MAX_START:
+            raise fields.wrong("start", f"of {name} is {start:g} frames away, which no recording is")
+    return frames
 
 
 def _pixel_shift(fields: Fields) -> float:

@@ -132,6 +132,46 @@ class PictureSource:
         return list(zip(*(column for column in columns if len(set(column)) > 1), strict=True)) or None
 
 
+@dataclass(frozen=True)
+class CutSource:
+    """``frame_count`` frames of another source, from its frame ``first`` on, every ``step``-th."""
+
+    source: FrameSource
+    first: int
+    step: int
+    frame_count: int
+
+    @property
+    def path(self) -> Path:
+        """Of the whole source."""
+        return self.source.path
+
+    @property
+    def width(self) -> int:
+        """Of every frame, in pixels."""
+        return self.source.width
+
+    @property
+    def height(self) -> int:
+        """Of every frame, in pixels."""
+        return self.source.height
+
+    @property
+    def fps(self) -> float | None:
+        """Frames per second of what is left; None when it is unknown."""
+        return None if self.source.fps is None else self.source.fps / self.step
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Those of the whole source."""
+        return self.source.warnings
+
+    def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
+        """As of any source; errors name the frames of the whole source."""
+        last = self.first + (stop - 1) * self.step
+        yield from self.source.read(self.first + start * self.step, last + 1, step * self.step)
+
+
 class ListedPictures(PictureSource):
     """Pictures whose instants their times or folders tell, whatever numbers are in their names."""
 

@@ -24,6 +24,7 @@ from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.commands import encode_main, join_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
+from decogs.encoder.synchronisation.commands import sync_main
 from decogs.formats.cameras import project
 from decogs.formats.rigs import open_rig
 
@@ -46,6 +47,7 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-info": info_main,
     "decogs-join": join_main,
     "decogs-pack": pack_main,
+    "decogs-sync": sync_main,
     "decogs-view": view_main,
 }
 LONGEST_README = 110

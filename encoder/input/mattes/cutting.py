@@ -1,8 +1,8 @@
 """A subject cut out of a picture whose backdrop is known: alpha, and the subject's own colours.
 
 Edge pixels are a mixture of subject and backdrop: C = alpha F + (1 - alpha) B in linear light, where F is any of the
-subject's colours nearby that explains C; alpha is the mean over these. Sources: Smith and Blinn 1996, "Blue Screen
-Matting"; Wang and Cohen 2007, "Optimized Color Sampling for Robust Matting".
+subject's colours nearby that explains C; alpha is the mean over these, and then follows the picture's edges. Sources:
+Smith and Blinn 1996, "Blue Screen Matting"; Wang and Cohen 2007, "Optimized Color Sampling for Robust Matting".
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from decogs.formats.splats import FloatArray
 
 from ..filling import shrunk_and_filled
+from .outlines import fitted
 
 BoolArray = NDArray[np.bool_]
 
@@ -53,8 +54,8 @@ def cut_out(picture: FloatArray, plate: FloatArray, backdrop: BoolArray) -> Subj
     continued = _continued(picture, inside, reach)
     alpha = inside.astype(np.float32)
     rows, columns = np.nonzero(~inside & ~outside)
-    mixed = _mixed(picture, plate, inside, (rows, columns), continued[rows, columns], reach)
-    alpha[rows, columns] = np.clip((mixed - _CLIPPED) / (1 - 2 * _CLIPPED), 0, 1)
+    alpha[rows, columns] = _mixed(picture, plate, inside, (rows, columns), continued[rows, columns], reach)
+    alpha = _along_outline(picture, alpha, reach)
     return Subject(alpha, _unmixed(picture, alpha, plate, continued))
 
 
@@ -66,6 +67,18 @@ def with_alpha(picture: FloatArray, alpha: FloatArray) -> Subject:
     reach = _reach(picture)
     behind, continued = (_continued(picture, where, reach) for where in (alpha <= 0, alpha >= 1))
     return Subject(alpha, _unmixed(picture, alpha, behind, continued))
+
+
+def _along_outline(picture: FloatArray, guess: FloatArray, reach: int) -> FloatArray:
+    """Alpha (H, W): the ``guess``, made to follow the picture's edges near its outline."""
+    there, near = (guess > 0.5).astype(np.uint8), _disc(max(1, reach // 2))
+    outline = (cv2.dilate(there, near) > 0) & (cv2.erode(there, near) == 0)
+    clear = _clear(guess)
+    return np.where(outline, _clear(fitted(picture, clear, outline)), clear)
+
+
+def _clear(alpha: FloatArray) -> FloatArray:
+    return np.asarray(np.clip((alpha - _CLIPPED) / (1 - 2 * _CLIPPED), 0, 1), np.float32)
 
 
 def _unmixed(picture: FloatArray, alpha: FloatArray, plate: FloatArray, continued: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from decogs.formats.splats import FloatArray
 from ..filling import push_pull
 from .choice import MatteChoice
 from .chroma_key import key_axis, keyed
+from .chroma_place import chroma_in_place
 from .clean_plate import before_plate
 from .cutting import BoolArray, Subject, with_alpha
 
@@ -91,7 +92,7 @@ class Mattes:
         if given is not None:
             return Cut(self._own_colours(name, picture, given), given)
         if self.key is not None:
-            found = keyed(linear(picture), self.key)
+            found = keyed(linear(chroma_in_place(picture)), self.key)
             if found is None:
                 raise RigError(f"camera {name} shows no screen of the colour of `key`; check it, or use `masks`")
             return Cut(_like(picture, found.subject), found.subject.alpha, found.worn)

@@ -34,9 +34,9 @@ def test_a_rig_becomes_a_table_and_a_document(
     document = json.loads(out.read_text())
     assert document["cameras"] == ["cam00", "cam01", "cam03", "cam04"]
     assert document["held_out"] == ["cam02"]
+    assert max(map(len, lines[1:])) <= 80
     for row, line in zip(document["effects"], lines[2 : 2 + len(EFFECTS)], strict=True):
         assert line.split()[1] == ("yes" if row["detected"] else "no")
-        assert line.endswith(row["cost"])
         assert {len(values) for values in row["values"].values()} == {4}
     assert document["checks"].keys() == {"cam00", "cam01", "cam03", "cam04"}
     assert all(0 <= check["seen_by_two"] <= check["seen_by_one"] <= 1 for check in document["checks"].values())
@@ -47,7 +47,7 @@ def test_the_document_goes_to_stdout(moving_rig: Path, capfd: pytest.CaptureFixt
     assert analyze_main([str(moving_rig), "--json", "-"]) == 0
     printed = capfd.readouterr()
     assert told(json.loads(printed.out)) == told(analyse(moving_rig).to_json())
-    assert len(printed.err.splitlines()) == 2 + len(EFFECTS) + 9, "a verdict and a line for each camera"
+    assert [line.split()[0] for line in printed.err.splitlines()[-6:]] == ["camera", *(f"cam{k:02d}" for k in range(5))]
 
 
 def test_threads_change_nothing(moving_rig: Path) -> None:
