@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +17,27 @@ from decogs.formats.errors import RigError
 from decogs.formats.outputs import staged_files
 from decogs.formats.up_direction import AXES, turn_between, up_of
 
-from .board_rig import place_by_board
-from .boards import Board, BoardFinder, board_views
+from .board_rig import BoardRig, place_by_board
+from .boards import Board, BoardFinder, BoardView, board_views
 from .features import F64, features_of, matched, sift_extractor
 from .footage import Footage, instants_of, open_footage, pictures_at
 from .held_out import split
-from .lenses import lens_from_board
+from .lenses import Lens, focal_deviation, lens_from_board
 from .structure import Mapped, Matched, map_cameras, require_pycolmap
 
 MIN_CAMERAS = 3
-_BOARD_INSTANTS, _INSTANTS = 60, 8
+_BOARD_INSTANTS, _INSTANTS = 120, 8
 _MIN_EXPLAINED = 0.3
 """Share of matches held out that cameras have to explain. Right ones explain .36 of `panoptic_basketball` and .9 of
 `workbench`; on `stage`, with its patterned wallpaper, the best that is found explains .25, and is wrong."""
+
+_MAX_ERROR = 0.001
+"""Reprojection error in widths of the picture: a pixel of 1000. By a pixel the finest detail, two pixels wide, is in
+opposite phase, and what cameras see together becomes blur. Right calibrations have .1 to .6."""
+_MAX_FOCAL_DEVIATION, _NAMED_FOCAL_DEVIATION = 0.02, 0.01
+"""Of a focal length that a board gave, as its share: what is left out, and what is named. On `desk_charuco_4cam`, where
+the board is in the middle of the pictures, deviations of .002, .015 and .016 come with focal lengths off by 1 to 3 %,
+and .044 with one off by 16 %."""
 
 OnStep = Callable[[int, int], None]
 
@@ -45,12 +53,16 @@ class Placed:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Placed cameras, what would help those that are not, by name, the way they were placed, and the world's unit."""
+    """Placed cameras, what would help those that are not, by name, the way they were placed, and the world's unit.
+
+    ``doubts``: what is uncertain about placed cameras, by name.
+    """
 
     placed: tuple[Placed, ...]
     not_connected: Mapping[str, str]
     way: str
     length_unit: str
+    doubts: Mapping[str, str] = field(default_factory=dict)
 
 
 def calibrate(
@@ -76,43 +88,92 @@ def calibrate(
     else:
         found = _by_motion(footage, frames or _INSTANTS, seed, shared_intrinsics, on_step)
     if len(found.placed) < MIN_CAMERAS:
-        reasons = "; ".join(f"{name}: {help_}" for name, help_ in found.not_connected.items())
+        reasons = "; ".join(f"{', '.join(names)}: {help_}" for help_, names in _by_reason(found.not_connected).items())
         raise RigError(f"{videos}: only {len(found.placed)} of {len(footage)} cameras can be placed. {reasons}")
     return _upright(found)
 
 
+def _by_reason(reasons: Mapping[str, str]) -> dict[str, list[str]]:
+    """The cameras' names for each reason."""
+    return {help_: [name for name, its in reasons.items() if its == help_] for help_ in dict.fromkeys(reasons.values())}
+
+
 def _by_board(footage: tuple[Footage, ...], board: Board, count: int, on_step: OnStep) -> Calibration:
     find, corners, instants = BoardFinder(board), board.corners(), instants_of(footage, count)
-    views, lenses = {}, {}
+    views: dict[int, Mapping[int, BoardView]] = {}
+    lenses: dict[int, Lens] = {}
+    reasons, doubts = {}, {}
     for number, camera in enumerate(footage):
-        views[number] = board_views(pictures_at(camera, instants), find)
-        lens = lens_from_board(list(views[number].values()), corners, camera.size)
-        if lens is not None:
-            lenses[number] = lens
+        seen = views[number] = board_views(pictures_at(camera, instants), find)
+        lens = lens_from_board(list(seen.values()), corners, camera.size)
         on_step(number + 1, len(footage))
-    rig = place_by_board(lenses, views, corners)
+        if lens is None:
+            reasons[number] = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board"
+            continue
+        deviation = _focal_deviation(lens, list(seen.values()), corners, camera.size)
+        doubt = f"its focal length is known to {100 * deviation:.1f} % only; show it the board all over its picture"
+        if deviation > _MAX_FOCAL_DEVIATION:
+            reasons[number] = doubt
+            continue
+        if deviation > _NAMED_FOCAL_DEVIATION:
+            doubts[number] = doubt
+        lenses[number] = lens
+    rig, inaccurate = _placed_accurately(lenses, views, corners, footage)
+    reasons |= inaccurate
     placed = []
     for number in sorted(rig.poses):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(rig.poses[number][0])[0], rig.poses[number][1]
         found = lenses[number].camera(footage[number].name, footage[number].size, pose)
         placed.append(Placed(found, rig.errors[number], footage[number]))
-    reasons = {}
-    for number, camera in enumerate(footage):
-        if number in rig.poses:
-            continue
-        seen = len(views[number])
-        if number in rig.inconsistent and any(view.mirrored for view in views[number].values()):
-            reasons[camera.name] = "sees the board mirrored, where other cameras do not have it; is its video mirrored?"
-        elif number in rig.inconsistent:
-            reasons[camera.name] = (
-                "sees the board elsewhere than other cameras at the same frame; synchronise the videos"
-            )
-        elif number not in lenses:
-            reasons[camera.name] = f"sees the board in {seen} of {len(instants)} frames looked at; show it the board"
-        else:
-            reasons[camera.name] = "never sees the board together with a placed camera; hold it where both see it"
-    return Calibration(tuple(placed), reasons, "board", "metre")
+    for number in range(len(footage)):
+        if number not in rig.poses and number not in reasons:
+            reasons[number] = _disconnected(views[number], number in rig.inconsistent)
+    return Calibration(
+        tuple(placed),
+        {footage[number].name: reasons[number] for number in sorted(reasons)},
+        "board",
+        "metre",
+        {footage[number].name: doubts[number] for number in sorted(rig.poses) if number in doubts},
+    )
+
+
+def _focal_deviation(lens: Lens, views: list[BoardView], corners: F64, size: tuple[int, int]) -> float:
+    """As `focal_deviation`; 0 for a fisheye lens, of which OpenCV does not tell it."""
+    return 0.0 if lens.kind == "fisheye" else focal_deviation(views, corners, size)
+
+
+def _placed_accurately(
+    lenses: Mapping[int, Lens],
+    views: Mapping[int, Mapping[int, BoardView]],
+    corners: F64,
+    footage: tuple[Footage, ...],
+) -> tuple[BoardRig, dict[int, str]]:
+    """Cameras placed by the board, without those whose error is too large: the worst is left out, the rest placed anew.
+
+    Also why those were left out, by number.
+    """
+    left_out: dict[int, str] = {}
+    while True:
+        rig = place_by_board({number: lenses[number] for number in lenses if number not in left_out}, views, corners)
+        excess = {number: error / (_MAX_ERROR * footage[number].size[0]) for number, error in rig.errors.items()}
+        worst = max(excess, key=lambda number: excess[number], default=None)
+        if worst is None or excess[worst] <= 1:
+            return rig, left_out
+        left_out[worst] = _inaccurate(rig.errors[worst], "hold the board still, and synchronise the videos")
+
+
+def _inaccurate(error: float, help_: str) -> str:
+    return f"is off by {error:.1f} px; {help_}"
+
+
+def _disconnected(views: Mapping[int, BoardView], inconsistent: bool) -> str:
+    """Why the board does not place a camera whose lens is known."""
+    if inconsistent and any(view.mirrored for view in views.values()):
+        return "sees the board mirrored, where other cameras do not have it; is its video mirrored?"
+    if inconsistent:
+        return "sees the board elsewhere than other cameras at the same frame; synchronise the videos"
+    return "never sees the board together with a placed camera; hold it where both see it"
 
 
 def _by_motion(footage: tuple[Footage, ...], count: int, seed: int, shared: bool, on_step: OnStep) -> Calibration:
@@ -139,8 +200,10 @@ def _by_motion(footage: tuple[Footage, ...], count: int, seed: int, shared: bool
         for number, camera in sorted(mapped.cameras.items())
     )
     left = [name for number, name in enumerate(names) if number not in mapped.cameras]
-    found = Calibration(placed, dict.fromkeys(left, f"shares too little with placed cameras; {board}"), mapped.way, "")
-    return _scaled(found)
+    reasons = dict.fromkeys(left, f"shares too little with placed cameras; {board}")
+    inaccurate = [one for one in placed if one.error > _MAX_ERROR * one.camera.width]
+    reasons |= {one.camera.name: _inaccurate(one.error, board) for one in inaccurate}
+    return _scaled(Calibration(tuple(one for one in placed if one not in inaccurate), reasons, mapped.way, ""))
 
 
 def _reprojection_error(mapped: Mapped, number: int) -> float:

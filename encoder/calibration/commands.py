@@ -32,7 +32,7 @@ def calibrate_parser() -> Parser:
         "printed inverted or seen from its back through glass (default: none, structure from motion)",
     )
     parser.add_argument(
-        "--frames", type=whole_number, metavar="N", help="instants looked at (default: 60 with a board, else 8)"
+        "--frames", type=whole_number, metavar="N", help="instants looked at (default: 120 with a board, else 8)"
     )
     parser.add_argument("--seed", type=whole_number, default=0, metavar="S", help="of random choices (default 0)")
     parser.add_argument(
@@ -61,6 +61,8 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
     write_rig(found, Path(options.output))
     for name, help_ in found.not_connected.items():
         warn_as(parser)(f"{name}: not connected: {help_}")
+    for name, doubt in found.doubts.items():
+        warn_as(parser)(f"{name}: {doubt}")
     lines = [
         f"{one.camera.name}: focal {one.camera.fx:.1f} px, lens {one.camera.distortion_model}, error {one.error:.2f} px"
         for one in found.placed

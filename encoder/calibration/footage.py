@@ -55,8 +55,7 @@ def open_footage(folder: Path) -> tuple[Footage, ...]:
 def instants_of(footage: tuple[Footage, ...], count: int) -> range:
     """At most ``count`` frame numbers, evenly over what all cameras have of the take."""
     common = min(camera.source.frame_count for camera in footage)
-    step = max(1, (common - 1) // max(1, count - 1)) if count > 1 else common
-    return range(0, common, step)[:count]
+    return range(0, common, -(-common // count))
 
 
 def pictures_at(camera: Footage, instants: range) -> Iterator[U8]:

@@ -11,11 +11,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, DistortionModel
 
 from .boards import BoardView
 from .features import F64
+
+F32 = NDArray[np.float32]
 
 _KINDS: tuple[tuple[DistortionModel, bool], ...] = (
     ("none", False),
@@ -113,6 +116,28 @@ def lens_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, i
     return _fitted(best, chosen, corners, size)
 
 
+def focal_deviation(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> float:
+    """Standard deviation of the focal length that views of a board give, as its share, with the principal point free.
+
+    From the covariance of the fit (`cv2.calibrateCameraExtended`); infinite where there is no fit.
+    """
+    points, pixels = _board_points(_spread(views), corners)
+    start = np.array([[1.0, 0, (size[0] - 1) / 2], [0, 1, (size[1] - 1) / 2], [0, 0, 1]])  # its ratio counts
+    flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_ASPECT_RATIO
+    try:
+        _, matrix, _, _, _, deviations, *_ = cv2.calibrateCameraExtended(points, pixels, size, start, None, flags=flags)
+    except cv2.error:
+        return float(np.inf)
+    share = float(deviations[:2].max() / matrix[0, 0])
+    return share if np.isfinite(share) and share > 0 else float(np.inf)
+
+
+def _board_points(views: Sequence[BoardView], corners: F64) -> tuple[list[F32], list[F32]]:
+    """Points on the board and pixels of each view, as OpenCV takes them."""
+    points = [corners[view.numbers].astype(np.float32).reshape(-1, 1, 3) for view in views]
+    return points, [(view.pixels - 0.5).astype(np.float32).reshape(-1, 1, 2) for view in views]
+
+
 def _spread(views: Sequence[BoardView]) -> list[BoardView]:
     """At most so many views, evenly over the take."""
     places = np.linspace(0, len(views) - 1, min(len(views), _MAX_VIEWS)).round().astype(int)
@@ -123,8 +148,7 @@ def _fitted(
     choice: tuple[DistortionModel, bool], views: Sequence[BoardView], corners: F64, size: tuple[int, int]
 ) -> Lens | None:
     kind, free = choice
-    points = [corners[view.numbers].astype(np.float32).reshape(-1, 1, 3) for view in views]
-    pixels = [(view.pixels - 0.5).astype(np.float32).reshape(-1, 1, 2) for view in views]
+    points, pixels = _board_points(views, corners)
     try:
         if kind == "fisheye":
             flags = _FISHEYE_FLAGS

@@ -1,0 +1,70 @@
+"""How far decogs-calibrate comes from given poses: ``python tests/calibration/table.py RIG [--board BOARD]``.
+
+It gets only the rig's videos. Found cameras are laid over the given ones by the similarity that fits their poses best.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.encoder.calibration.boards import parse_board
+from decogs.encoder.calibration.calibrate import Calibration, calibrate
+from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.rigs import Rig, open_rig
+
+F64 = NDArray[np.float64]
+
+
+def found_from(rig: Rig, board: str | None, left_out: set[str]) -> Calibration:
+    """The calibration found from the rig's videos alone."""
+    with tempfile.TemporaryDirectory() as folder:
+        for camera, source in zip(rig.cameras, rig.sources, strict=True):
+            if camera.name not in left_out:
+                (Path(folder) / f"{camera.name}{source.path.suffix}").symlink_to(source.path.resolve())
+        return calibrate(Path(folder), board=None if board is None else parse_board(board))
+
+
+def deviations(found: list[Camera], given: list[Camera]) -> tuple[F64, F64, F64]:
+    """Of each camera: degrees of its rotation, its centre in % of the mean baseline, its focal length in %."""
+    turns = [two.world_to_camera[:3, :3].T @ one.world_to_camera[:3, :3] for one, two in zip(found, given, strict=True)]
+    left, _, right = np.linalg.svd(np.sum(turns, axis=0))
+    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    cosines = [(np.trace(one.T @ turn) - 1) / 2 for one in turns]
+    here, there = (np.array([camera_centre(camera) for camera in cameras]) for cameras in (found, given))
+    here, there = (here - here.mean(axis=0)) @ turn.T, there - there.mean(axis=0)
+    here *= (here * there).sum() / (here**2).sum()
+    baseline = np.linalg.norm(there[:, None] - there[None], axis=2).sum() / (len(there) * (len(there) - 1))
+    focal = [abs(one.fx / two.fx - 1) for one, two in zip(found, given, strict=True)]
+    degrees = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    return degrees, 100 * np.linalg.norm(here - there, axis=1) / baseline, 100 * np.array(focal)
+
+
+def main() -> None:
+    """Prints the rig's row of the table, and one for each camera."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rig", type=Path)
+    parser.add_argument("--board")
+    parser.add_argument("--without", default="", help="names of cameras, with commas between them")
+    options = parser.parse_args()
+    rig, start = open_rig(options.rig), time.process_time()
+    calibration = found_from(rig, options.board, set(options.without.split(",")))
+    seconds, given = time.process_time() - start, {camera.name: camera for camera in rig.cameras}
+    found = [one.camera for one in calibration.placed]
+    rows = np.stack(deviations(found, [given[camera.name] for camera in found]), axis=1)
+    for camera, (degrees, centre, focal) in zip(found, rows, strict=True):
+        print(f"{camera.name}: rotation {degrees:.2f} degrees, centre {centre:.1f} %, focal {focal:.1f} %")
+    for name, reason in calibration.not_connected.items():
+        print(f"{name}: {reason}")
+    print("| rig | cameras | rotation, median, worst | centres, median, worst | focal, median, worst | CPU-s |")
+    pairs = [f"{np.median(column):.2f}, {column.max():.2f}" for column in rows.T]
+    print(f"| {options.rig.name} | {len(found)} of {len(given)} | {' | '.join(pairs)} | {seconds:.0f} |")
+
+
+if __name__ == "__main__":
+    main()

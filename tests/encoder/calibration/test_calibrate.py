@@ -1,0 +1,93 @@
+"""Which calibrations are accepted, and what the command says of the others."""
+
+from __future__ import annotations
+
+import builtins
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from decogs.encoder.calibration import calibrate as module
+from decogs.encoder.calibration.board_rig import BoardRig
+from decogs.encoder.calibration.boards import BoardView, parse_board
+from decogs.encoder.calibration.commands import calibrate_main
+from decogs.encoder.calibration.lenses import Lens, focal_deviation
+
+CORNERS = parse_board("charuco:5x4:0.05:0.0375:DICT_4X4_50").corners()
+LENS = Lens("none", (500.0, 500.0), (319.5, 239.5), (0.0,) * 4)
+
+
+def _views(tilt: float, count: int = 10) -> list[BoardView]:
+    """Sights of a board that is tilted by up to so many radians, with errors of .05 pixels."""
+    draw = np.random.default_rng(5)
+    views = []
+    for _ in range(count):
+        place = np.array([*draw.uniform(-0.1, 0.1, 2), 0.8])
+        pixels = LENS.project(draw.uniform(-tilt, tilt, 3), place, CORNERS)[0]
+        views.append(BoardView(np.arange(len(CORNERS)), pixels + 0.5 + draw.normal(0, 0.05, pixels.shape), False))
+    return views
+
+
+def test_a_board_that_is_never_tilted_leaves_the_focal_length_open() -> None:
+    assert focal_deviation(_views(0.6), CORNERS, (640, 480)) < 0.01
+    assert focal_deviation(_views(0.03), CORNERS, (640, 480)) > 0.02
+
+
+def test_the_camera_with_too_large_an_error_is_left_out_and_the_rest_placed_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = []
+
+    def place(lenses: dict[int, Lens], *_: object) -> BoardRig:
+        asked.append(sorted(lenses))
+        pose = np.zeros(3), np.zeros(3)
+        return BoardRig(dict.fromkeys(lenses, pose), {number: 0.5 + (number == 1) for number in lenses}, ())
+
+    monkeypatch.setattr(module, "place_by_board", place)
+    footage: Any = [type("Footage", (), {"size": (1000, 800)})] * 3
+    rig, left_out = module._placed_accurately(dict.fromkeys(range(3), LENS), {}, CORNERS, footage)
+    assert asked == [[0, 1, 2], [0, 2]]
+    assert sorted(rig.poses) == [0, 2]
+    assert "off by 1.5 px" in left_out[1]
+
+
+def test_without_pycolmap_the_command_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *rest: Any, **named: Any) -> Any:
+        if name == "pycolmap":
+            raise ImportError(name)
+        return real(name, *rest, **named)
+
+    _write_pictures(tmp_path / "videos", ["a", "b", "c"])
+    monkeypatch.setattr(builtins, "__import__", without)
+    assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
+    assert "pip install 'decogs[calibrate]'" in capsys.readouterr().err
+    assert not (tmp_path / "rig").exists()
+
+
+def test_two_cameras_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _write_pictures(tmp_path / "videos", ["a", "b"])
+    assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
+    assert "holds 2 cameras (a, b)" in capsys.readouterr().err
+
+
+def test_a_board_that_nobody_sees_names_every_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _write_pictures(tmp_path / "videos", ["a", "b", "c"])
+    arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", "charuco:5x4:0.05:0.0375"]
+    assert calibrate_main(arguments) == 2
+    assert "a, b, c: sees the board in 0 of 2 frames" in capsys.readouterr().err
+    assert not (tmp_path / "rig").exists()
+
+
+def _write_pictures(folder: Path, names: list[str]) -> None:
+    """Two grey pictures of each camera."""
+    for name in names:
+        (folder / name).mkdir(parents=True)
+        for frame in range(2):
+            cv2.imwrite(str(folder / name / f"{frame:04d}.png"), np.full((48, 64, 3), 128, np.uint8))
