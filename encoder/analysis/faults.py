@@ -11,11 +11,12 @@ GOOD, USABLE, HARMFUL = "good", "usable", "harmful"
 
 DEAD, FROZEN, DROPPED = "dead", "frozen", "dropped"
 SWAPPED, TURNED, MISPLACED = "swapped", "turned", "misplaced"
-LATE, EARLY = "late", "early"
+LATE = "late"
+"""Or early: its frames are not of the others' moments."""
 BLURRED, NOISY, EXPOSURE = "blurred", "noisy", "exposure"
 MOVING = "moving"
 
-_HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, EARLY, BLURRED, MOVING}
+_HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, BLURRED, MOVING}
 
 BLURRED_BELOW = 0.45
 """Sharpness, over the cameras' median, below which a camera is out of focus: a blur of 2 pixels leaves .15, sharp
@@ -138,9 +139,9 @@ def _misplaced(found: Findings, left_out: str) -> Fault:
 
 
 def _late(found: Findings) -> Fault:
-    how, frames = LATE if found.late > 0 else EARLY, f"{abs(found.late):.3g}"
+    how, frames = "late" if found.late > 0 else "early", f"{abs(found.late):.3g}"
     return Fault(
-        how,
+        LATE,
         found.camera,
         f"appears {frames} frame{'s' if frames != '1' else ''} {how} against the others",
         "find out when each camera started (decogs-sync), or encode with --sync auto",
