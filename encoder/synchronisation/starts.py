@@ -44,8 +44,7 @@ as they were: .77 to 1."""
 _MIN_CHANCE = 0.6
 """Least chance that the whole frame is right, by the standard error."""
 _SURE = 0.9
-"""The same, for a verdict on a camera. Figure: cameras out of step have .90 and more; half a second of `quartet`, which is
-in step, .61 to .86."""
+"""The same, for a verdict on a camera. Figure: cameras out of step have .90 and more, cameras in step up to .86."""
 _WHOLE = 0.4
 """Frames from whole ones that motion alone must find a camera to be believed: rigs in step show up to .32."""
 _CONTRADICTED = 1.5
