@@ -124,8 +124,8 @@ def said(command: str, *options: str) -> str:
 COMMANDS = sorted(entry.name for entry in INSTALLED.entry_points if entry.group == "console_scripts")
 
 
-def test_there_are_nine_commands() -> None:
-    names = ("analyze", "bench", "decode", "encode", "export", "info", "join", "pack", "view")
+def test_there_are_these_commands() -> None:
+    names = ("analyze", "bench", "decode", "encode", "export", "info", "join", "pack", "sync", "view")
     assert [f"decogs-{name}" for name in names] == COMMANDS
 
 

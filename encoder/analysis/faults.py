@@ -11,11 +11,12 @@ GOOD, USABLE, HARMFUL = "good", "usable", "harmful"
 
 DEAD, FROZEN, DROPPED = "dead", "frozen", "dropped"
 SWAPPED, TURNED, MISPLACED = "swapped", "turned", "misplaced"
-LATE, EARLY = "late", "early"
+LATE = "late"
+"""Or early: its frames are not of the others' moments."""
 BLURRED, NOISY, EXPOSURE = "blurred", "noisy", "exposure"
 MOVING = "moving"
 
-_HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, EARLY, BLURRED, MOVING}
+_HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, BLURRED, MOVING}
 
 BLURRED_BELOW = 0.45
 """Sharpness, over the cameras' median, below which a camera is out of focus: a blur of 2 pixels leaves .15, sharp
@@ -97,7 +98,7 @@ def faults_of(found: Findings) -> Iterator[Fault]:
     elif found.misplaced:
         yield _misplaced(found, left_out)
     elif abs(found.late) >= _LATE_FRAMES and not (found.hung or found.moving):
-        yield _late(found, left_out)
+        yield _late(found)
     if found.dropped and not is_blurred:
         yield fault(DROPPED, f"has no picture of its own in {_frames(found.dropped)}", "look at its recorder")
     if is_blurred:
@@ -137,16 +138,13 @@ def _misplaced(found: Findings, left_out: str) -> Fault:
     )
 
 
-def _late(found: Findings, left_out: str) -> Fault:
-    how, theirs = (LATE, "previous") if found.late > 0 else (EARLY, "next")
-    frames = f"{abs(found.late):.3g}"
-    by = "one frame" if frames == "1" else f"{frames} frames"
-    other = f"{theirs} frame" if frames == "1" else f"frames {frames} {'before' if found.late > 0 else 'after'} its own"
+def _late(found: Findings) -> Fault:
+    how, frames = "late" if found.late > 0 else "early", f"{abs(found.late):.3g}"
     return Fault(
-        how,
+        LATE,
         found.camera,
-        f"appears {by} {how}: its motion matches the other cameras' {other}",
-        f"shift its frames, {left_out}",
+        f"appears {frames} frame{'s' if frames != '1' else ''} {how} against the others",
+        "find out when each camera started (decogs-sync), or encode with --sync auto",
     )
 
 

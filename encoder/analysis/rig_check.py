@@ -16,7 +16,7 @@ from decogs.formats.cameras import Camera, camera_centre, in_picture, project, r
 from ..keyframe.backdrop.stage import PlainStage
 from ..parallel import Each
 from ..synchronisation.starts import frames_late
-from .faults import HARMFUL, SWAPPED, Fault, Findings, faults_of, verdict_on
+from .faults import HARMFUL, LATE, SWAPPED, Fault, Findings, faults_of, verdict_on
 from .light import Mismatch
 from .matches import Matches, features_of, join_matches, match_features
 from .poses import connections, find_swaps, judge_poses, moments_of
@@ -140,6 +140,8 @@ class RigCheck:
         swapped = [camera.camera for camera in self.cameras if SWAPPED in camera.trouble]
         if swapped:
             return f"exchange the files of {' and '.join(swapped[:2])}, and look again"
+        if any(LATE in camera.trouble for camera in self.cameras):
+            return "put the cameras in step (decogs-sync, or encode with --sync auto), and look again"
         if self.harmful:
             options = " ".join(f"--exclude {name}" for name in self.harmful)
             return f"mend {', '.join(self.harmful)}, or leave out what does harm: {options}"

@@ -43,6 +43,8 @@ _MIN_VOTES = 0.7
 as they were: .77 to 1."""
 _MIN_CHANCE = 0.6
 """Least chance that the whole frame is right, by the standard error."""
+_SURE = 0.9
+"""The same, for a verdict on a camera. Figure: cameras out of step have .90 and more, cameras in step up to .86."""
 _WHOLE = 0.4
 """Frames from whole ones that motion alone must find a camera to be believed: rigs in step show up to .32."""
 _CONTRADICTED = 1.5
@@ -108,7 +110,8 @@ def frames_late(cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]
     """
     small = [_small(camera) for camera in cameras]
     clips = [(small_grey(picture, to) for picture in own) for own, to in zip(pictures, small, strict=True)]
-    starts = whole_if_in_step(starts_by_motion(small, clips, each)).starts
+    moved = starts_by_motion(small, clips, each)
+    starts = np.where(_chances(moved) >= _SURE, whole_if_in_step(moved).starts, np.nan)
     there = starts[np.isfinite(starts)]
     ordinary = there[usual(np.round(there).tolist())] if len(there) else 0.0
     return ordinary - starts + 0.0  # not -0

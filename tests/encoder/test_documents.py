@@ -137,7 +137,7 @@ def test_what_is_shown_runs(document: Path, at_the_rig: Path, monkeypatch: pytes
 
 def test_commands_are_found() -> None:
     """The reader above would pass with none."""
-    assert len(commands_of(ROOT / "README.md")) == 8
+    assert len(commands_of(ROOT / "README.md")) == 9
     assert sum(len(commands_of(document)) for document in DOCS) > 25
     assert sum(len(python_of(document)) for document in DOCS) >= 3
 

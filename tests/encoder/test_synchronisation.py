@@ -327,7 +327,7 @@ def test_analysis_names_what_is_out_of_step_and_takes_what_is_found(
 ) -> None:
     assert analyze_main([str(late_rig), "--json", str(tmp_path / "late.json"), "--quiet"]) == 0
     printed = capsys.readouterr()
-    assert "against the others; find out when each one started (decogs-sync)" in printed.err
+    assert "against the others; find out when each camera started (decogs-sync)" in printed.err
     late = [each["late"] for each in json.loads((tmp_path / "late.json").read_text())["checks"].values()]
     assert [late[0] - each for each in late] == [start - STARTS[0] for start in STARTS]
     assert analyze_main([str(late_rig), "--sync", AUTO, "--json", str(tmp_path / "in.json"), "--quiet"]) == 0

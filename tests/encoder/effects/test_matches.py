@@ -14,6 +14,7 @@ from decogs.decoder.lens import distort_pixels, undistort_pixels, with_k1
 from decogs.encoder.analysis.lens_distortion import LensDistortion
 from decogs.encoder.analysis.light import light_at, light_overall, mismatch, own_light, shared_points
 from decogs.encoder.analysis.matches import features_of, find_matches, matched
+from decogs.encoder.analysis.recordings import BANDS, Recordings
 from decogs.encoder.analysis.rig_statistics import RigStatistics
 from decogs.formats.cameras import Camera
 
@@ -37,6 +38,9 @@ def statistics_of(cameras: list[Camera], pictures: list[np.ndarray]) -> RigStati
         mismatch=mismatch(points, lights),
         paths=(),
         matches=matches,
+        recordings=Recordings(*np.zeros((2, len(cameras), 1), bool)),
+        details=np.full((len(cameras), BANDS), np.nan),
+        moving=(False,) * len(cameras),
     )
 
 
