@@ -111,7 +111,8 @@ def _by_board(footage: tuple[Footage, ...], board: Board, count: int, on_step: O
             reasons[number] = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board"
             continue
         deviation = _focal_deviation(lens, list(seen.values()), corners, camera.size)
-        doubt = f"its focal length is known to {100 * deviation:.1f} % only; show it the board all over its picture"
+        known = f"known to {100 * deviation:.1f} % only" if np.isfinite(deviation) else "not known"
+        doubt = f"its focal length is {known}; show it the board tilted, and all over its picture"
         if deviation > _MAX_FOCAL_DEVIATION:
             reasons[number] = doubt
             continue

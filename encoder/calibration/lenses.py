@@ -36,6 +36,9 @@ _FISHEYE_FLAGS = sum(
 """OpenCV 5 has moved them."""
 MIN_VIEWS = 3
 """Views of a board that give a focal length: two of one tilt give none, and one may be wrong."""
+_LEAST_TILT = 5.0
+"""Degrees that the board is tilted in some view. By less, the covariance means nothing: a focal length that is off eight
+times over fits as well, and looks certain."""
 _MAX_VIEWS = 60
 """That a camera's lens is fitted to; its time grows by their square."""
 
@@ -119,14 +122,19 @@ def lens_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, i
 def focal_deviation(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> float:
     """Standard deviation of the focal length that views of a board give, as its share, with the principal point free.
 
-    From the covariance of the fit (`cv2.calibrateCameraExtended`); infinite where there is no fit.
+    From the covariance of the fit (`cv2.calibrateCameraExtended`); infinite where there is no fit, or no view
+    is tilted.
     """
     points, pixels = _board_points(_spread(views), corners)
     start = np.array([[1.0, 0, (size[0] - 1) / 2], [0, 1, (size[1] - 1) / 2], [0, 0, 1]])  # its ratio counts
     flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_ASPECT_RATIO
     try:
-        _, matrix, _, _, _, deviations, *_ = cv2.calibrateCameraExtended(points, pixels, size, start, None, flags=flags)
+        _, matrix, _, rotations, _, deviations, *_ = cv2.calibrateCameraExtended(
+            points, pixels, size, start, None, flags=flags
+        )
     except cv2.error:
+        return float(np.inf)
+    if max(np.degrees(np.arccos(abs(cv2.Rodrigues(rotation)[0][2, 2]))) for rotation in rotations) < _LEAST_TILT:
         return float(np.inf)
     share = float(deviations[:2].max() / matrix[0, 0])
     return share if np.isfinite(share) and share > 0 else float(np.inf)

@@ -17,11 +17,13 @@ import cv2
 import numpy as np
 import pytest
 
+from board_videos import write_board_videos
 from decogs.decoder.commands import decode_main, export_main, info_main, view_main
 from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.calibration.commands import calibrate_main
 from decogs.encoder.commands import encode_main, join_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.synchronisation.commands import sync_main
@@ -41,6 +43,7 @@ DOCUMENTS = [
 ]
 MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-analyze": analyze_main,
+    "decogs-calibrate": calibrate_main,
     "decogs-encode": encode_main,
     "decogs-decode": decode_main,
     "decogs-export": export_main,
@@ -71,6 +74,7 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
     calibration = json.loads(Path(tmp_path / "rig_dir" / "rig.json").read_text())
     (tmp_path / "rig_dir" / "rig.json").write_text(json.dumps(calibration | {"fps": 30}))
     write_masks(tmp_path)
+    write_board_videos(tmp_path / "videos_dir")
     short = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),

@@ -10,11 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
+from board_videos import BOARD, FOCAL, POSES, write_board_videos
 from decogs.encoder.calibration import calibrate as module
 from decogs.encoder.calibration.board_rig import BoardRig
 from decogs.encoder.calibration.boards import BoardView, parse_board
 from decogs.encoder.calibration.commands import calibrate_main
 from decogs.encoder.calibration.lenses import Lens, focal_deviation
+from decogs.formats.rigs import open_rig
 
 CORNERS = parse_board("charuco:5x4:0.05:0.0375:DICT_4X4_50").corners()
 LENS = Lens("none", (500.0, 500.0), (319.5, 239.5), (0.0,) * 4)
@@ -33,7 +35,8 @@ def _views(tilt: float, count: int = 10) -> list[BoardView]:
 
 def test_a_board_that_is_never_tilted_leaves_the_focal_length_open() -> None:
     assert focal_deviation(_views(0.6), CORNERS, (640, 480)) < 0.01
-    assert focal_deviation(_views(0.03), CORNERS, (640, 480)) > 0.02
+    assert focal_deviation(_views(0.1), CORNERS, (640, 480)) > 0.02
+    assert focal_deviation(_views(0.01), CORNERS, (640, 480)) == np.inf
 
 
 def test_the_camera_with_too_large_an_error_is_left_out_and_the_rest_placed_anew(
@@ -82,6 +85,27 @@ def test_a_board_that_nobody_sees_names_every_camera(tmp_path: Path, capsys: pyt
     arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", "charuco:5x4:0.05:0.0375"]
     assert calibrate_main(arguments) == 2
     assert "a, b, c: sees the board in 0 of 2 frames" in capsys.readouterr().err
+    assert not (tmp_path / "rig").exists()
+
+
+def test_the_command_places_cameras_by_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_board_videos(tmp_path / "videos")
+    arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]
+    assert calibrate_main(arguments) == 0, capsys.readouterr().err
+    rig = open_rig(tmp_path / "rig")
+    first = rig.cameras[0].world_to_camera
+    for camera, pose in zip(rig.cameras, POSES, strict=True):
+        assert camera.fx == pytest.approx(FOCAL, rel=0.01)  # the goal of the focal length
+        relative = (camera.world_to_camera @ np.linalg.inv(first))[:3, :3]
+        turn = np.degrees(np.linalg.norm(cv2.Rodrigues(relative @ cv2.Rodrigues(pose[:3])[0].T)[0]))
+        assert turn < 0.5  # a tenth of a pixel of drawn corners, over a small board
+
+
+def test_a_mirrored_video_is_named_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_board_videos(tmp_path / "videos", mirrored="b")
+    arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]
+    assert calibrate_main(arguments) == 2
+    assert "b: sees the board mirrored" in capsys.readouterr().err
     assert not (tmp_path / "rig").exists()
 
 
