@@ -189,7 +189,7 @@ def _by_motion(footage: tuple[Footage, ...], count: int, seed: int, shared: bool
     matches = split(features, {(a, b): matched(features[a], features[b]) for a, b in pairs})
     names, sizes = [camera.name for camera in footage], [camera.size for camera in footage]
     ways = iter(range(len(footage) + 1, total + 1))
-    mapped = map_cameras(Matched(names, sizes, features, matches, {}, shared), seed, lambda: on_step(next(ways), total))
+    mapped = map_cameras(Matched(names, sizes, features, matches, shared), seed, lambda: on_step(next(ways), total))
     board = "show all cameras a board (--board), or put a camera in between"
     if mapped is None:
         return Calibration((), dict.fromkeys(names, f"shares too little with other cameras; {board}"), "", "")

@@ -37,8 +37,8 @@ _FISHEYE_FLAGS = sum(
 MIN_VIEWS = 3
 """Views of a board that give a focal length: two of one tilt give none, and one may be wrong."""
 _LEAST_TILT = 5.0
-"""Degrees that the board is tilted in some view. By less, the covariance means nothing: a focal length that is off eight
-times over fits as well, and looks certain."""
+"""Degrees that the board is tilted in some view. By less, the covariance means nothing: a focal length that is eight times
+too long fits as well, and looks certain."""
 _MAX_VIEWS = 60
 """That a camera's lens is fitted to; its time grows by their square."""
 
@@ -92,13 +92,6 @@ class Lens:
         return Camera(name, *size, *self.focal, *centre, pose, self.kind, distortion)
 
 
-def lens_of(camera: Camera) -> Lens:
-    """The lens of a camera of this project."""
-    distortion = camera.distortion or (0.0,) * 4
-    centre = camera.cx - 0.5, camera.cy - 0.5
-    return Lens(camera.distortion_model, (camera.fx, camera.fy), centre, distortion)
-
-
 def lens_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> Lens | None:
     """A camera's lens from views of a board; None where they are too few or all alike.
 
@@ -130,7 +123,7 @@ def focal_deviation(views: Sequence[BoardView], corners: F64, size: tuple[int, i
     flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_ASPECT_RATIO
     try:
         _, matrix, _, rotations, _, deviations, *_ = cv2.calibrateCameraExtended(
-            points, pixels, size, start, None, flags=flags
+            points, pixels, size, start, np.zeros(4), flags=flags
         )
     except cv2.error:
         return float(np.inf)

@@ -19,11 +19,8 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs.colmap import lens_parameters
 
-from .features import F64, Features
+from .features import Features
 from .held_out import PairMatches, Score, score
-
-Lenses = Mapping[str, Camera]
-"""Intrinsics that are given, by the camera's name; the pose in them means nothing."""
 
 _FIRST_FOCAL = 1.2
 """Times the picture's longer side: COLMAP's guess of a focal length."""
@@ -53,13 +50,12 @@ class Mapped:
 
 @dataclass(frozen=True)
 class Matched:
-    """What structure from motion starts from: names, sizes, features and matches of the cameras, intrinsics given."""
+    """What structure from motion starts from: of the cameras names, sizes, features and matches; whether they share lenses."""
 
     names: Sequence[str]
     sizes: Sequence[tuple[int, int]]
     features: Sequence[Features]
     pairs: Sequence[PairMatches]
-    given: Lenses
     shared: bool
 
     def scored(self, model: Any, way: str) -> Mapped:
@@ -108,9 +104,9 @@ def _write_database(path: Path, matched: Matched, lens: str, seed: int) -> None:
     database = pycolmap.Database.open(str(path))
     numbers: dict[object, int] = {}
     lenses = []
-    for number, (name, size) in enumerate(zip(matched.names, matched.sizes, strict=True)):
-        key: object = size if matched.shared and name not in matched.given else number
-        camera = _colmap_camera(size, lens, matched.given.get(name))
+    for number, size in enumerate(matched.sizes):
+        key: object = size if matched.shared else number
+        camera = pycolmap.Camera.create_from_model_name(0, lens, _FIRST_FOCAL * max(size), *size)
         if key not in numbers:
             numbers[key] = database.write_camera(camera)
         image = pycolmap.Image()
@@ -129,19 +125,6 @@ def _write_database(path: Path, matched: Matched, lens: str, seed: int) -> None:
     database.close()
 
 
-def _colmap_camera(size: tuple[int, int], lens: str, given: Camera | None) -> Any:
-    pycolmap = require_pycolmap()
-    if given is None:
-        return pycolmap.Camera.create_from_model_name(0, lens, _FIRST_FOCAL * max(size), *size)
-    kinds = {"none": "PINHOLE", "opencv": "OPENCV", "fisheye": "OPENCV_FISHEYE"}
-    model = "FULL_OPENCV" if len(given.distortion) > 4 else kinds[given.distortion_model]
-    distortion = given.distortion + (0.0,) * (8 - len(given.distortion)) if model == "FULL_OPENCV" else given.distortion
-    parameters = [given.fx, given.fy, given.cx, given.cy, *distortion]
-    camera = pycolmap.Camera(model=model, width=size[0], height=size[1], params=parameters)
-    camera.has_prior_focal_length = True
-    return camera
-
-
 def _incremental(database: Path, folder: Path, seed: int) -> list[Any]:
     pycolmap = require_pycolmap()
     options = pycolmap.IncrementalPipelineOptions()
@@ -149,7 +132,6 @@ def _incremental(database: Path, folder: Path, seed: int) -> list[Any]:
     options.min_model_size = 3
     options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, _MIN_INLIERS
     options.mapper.filter_max_reproj_error = _MAX_ERROR_PIXELS
-    options.constant_cameras = _prior_cameras(database)
     pycolmap.set_random_seed(seed)
     return list(pycolmap.incremental_mapping(str(database), str(folder), str(folder / "incremental"), options).values())
 
@@ -162,21 +144,13 @@ def _global(database: Path, folder: Path, seed: int) -> list[Any]:
     return list(pycolmap.global_mapping(str(database), str(folder), str(folder / "global"), options).values())
 
 
-def _prior_cameras(path: Path) -> set[int]:
-    database = require_pycolmap().Database.open(str(path))
-    try:
-        return {camera.camera_id for camera in database.read_all_cameras() if camera.has_prior_focal_length}
-    finally:
-        database.close()
-
-
 def _refined(mapped: Mapped, matched: Matched) -> Mapped:
     """The simplest of several lens models that is as good as any on what is held out."""
     best = None
     for free_centre in (False, True):
         for lens in _LENSES:
             model = mapped.model.__class__(mapped.model)
-            _adjust(model, lens, free_centre, matched)
+            _adjust(model, lens, free_centre)
             words = f"{mapped.way}, lens {lens.lower()}" + (", principal point free" if free_centre else "")
             found = matched.scored(model, words)
             if best is None or found.score.cost < best.score.cost - _LEAST_GAIN_PIXELS:
@@ -185,13 +159,11 @@ def _refined(mapped: Mapped, matched: Matched) -> Mapped:
     return best
 
 
-def _adjust(model: Any, lens: str, free_centre: bool, matched: Matched) -> None:
+def _adjust(model: Any, lens: str, free_centre: bool) -> None:
     """Bundle adjustment with this lens model, which leaves out what is far off, twice."""
     pycolmap = require_pycolmap()
-    fixed = {image.camera_id for image in model.images.values() if matched.names[image.image_id - 1] in matched.given}
-    for number, camera in model.cameras.items():
-        if number not in fixed:
-            _change_lens(camera, lens)
+    for camera in model.cameras.values():
+        _change_lens(camera, lens)
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_principal_point = free_centre
@@ -201,8 +173,6 @@ def _adjust(model: Any, lens: str, free_centre: bool, matched: Matched) -> None:
     config = pycolmap.BundleAdjustmentConfig()
     for image in model.reg_image_ids():
         config.add_image(image)
-    for number in fixed:
-        config.set_constant_cam_intrinsics(number)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     for _ in range(2):
         pycolmap.create_default_bundle_adjuster(options, config, model).solve()
@@ -228,8 +198,3 @@ def _camera(name: str, lens: Any, image: Any) -> Camera:
     if not any(distortion) and kind != "fisheye":
         kind, distortion = "none", ()
     return Camera(name, lens.width, lens.height, fx, fy, cx, cy, pose, kind, distortion)
-
-
-def points_of(model: Any) -> F64:
-    """The points (P, 3) of a reconstruction."""
-    return np.array([model.points3D[number].xyz for number in sorted(model.points3D)]).reshape(-1, 3)
