@@ -37,8 +37,8 @@ _FISHEYE_FLAGS = sum(
 MIN_VIEWS = 3
 """Views of a board that give a focal length: two of one tilt give none, and one may be wrong."""
 _LEAST_TILT = 5.0
-"""Degrees that the board is tilted in some view. By less, the covariance means nothing: a focal length that is eight times
-too long fits as well, and looks certain."""
+"""Degrees that the board is tilted in some view. By less, the covariance means nothing: a focal length that is eight
+times too long fits as well, and looks certain."""
 _MAX_VIEWS = 60
 """That a camera's lens is fitted to; its time grows by their square."""
 

@@ -50,7 +50,7 @@ class Mapped:
 
 @dataclass(frozen=True)
 class Matched:
-    """What structure from motion starts from: of the cameras names, sizes, features and matches; whether they share lenses."""
+    """What structure from motion starts from, of each camera and pair; whether cameras of one size share a lens."""
 
     names: Sequence[str]
     sizes: Sequence[tuple[int, int]]
