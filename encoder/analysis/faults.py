@@ -95,7 +95,7 @@ def faults_of(found: Findings) -> Iterator[Fault]:
         )
     if found.swapped is not None:
         yield fault(SWAPPED, f"has the pictures of {found.swapped}", "exchange the two files")
-    elif found.misplaced:
+    elif found.misplaced and not is_blurred:  # whose matches are off by more than a sharp camera's
         yield _misplaced(found, left_out)
     elif abs(found.late) >= _LATE_FRAMES and not (found.hung or found.moving):
         yield _late(found)
