@@ -26,8 +26,8 @@ I64 = NDArray[np.int64]
 
 MIN_RAYS_ANGLE, MAX_RAYS_ANGLE = math.radians(2), math.radians(50)
 """Angles, radians, between two rays that place a point: below, depth is uncertain; above, surfaces look different."""
-_TURNED_DEGREES = 0.4
-"""Degrees from which a camera counts as turned ..."""
+_TURNED_DEGREES = 0.7
+"""Degrees from which a camera counts as turned (a good one of `stage` whose neighbour is late has .65) ..."""
 _TURNED_PIXELS = 2.5
 """... if they are so many pixels: matches are not exact."""
 _MIN_TURN_MATCHES = 12
