@@ -313,3 +313,15 @@ def frame_report() -> FrameReport:
     return FrameReport(
         3, "delta", 1234, 5678, 0.062, 31.5, 30.25, {"masks": 0.1, "training": 1.5, "measure": 9.0}, {}, 2.5
     )
+
+
+@pytest.fixture(params=["stand-in", "gsplat"], ids=lambda name: "gsplat-on-a-gpu" if name == "gsplat" else name)
+def backend(request: pytest.FixtureRequest) -> Any:
+    """The CUDA backend, on the stand-in and on a GPU."""
+    import cuda_cases  # with torch
+    from decogs.encoder.backends import cuda
+
+    missing = cuda.missing() if request.param == "gsplat" else None
+    if missing:
+        pytest.skip(f"nothing to run gsplat on: {missing}")
+    return cuda_cases.BACKENDS[request.param]
