@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from decogs.formats.pictures import Picture
-from decogs.formats.rigs import FrameSource, Rig
+from decogs.formats.rigs import Rig
+from decogs.formats.rigs.sources import SourceOfAnother
 
 
 def _there_and_back(frames: range) -> list[int]:
@@ -36,32 +36,15 @@ TIMINGS: Mapping[str, Callable[[range], list[int]]] = {
 
 
 @dataclass(frozen=True)
-class RetimedSource:
+class RetimedSource(SourceOfAnother):
     """One camera's frames up to the first of ``order`` as they are, and from there those of ``order``."""
 
-    source: FrameSource
     order: tuple[int, ...]
     fps: float | None
 
     @property
-    def path(self) -> Path:
-        return self.source.path
-
-    @property
-    def width(self) -> int:
-        return self.source.width
-
-    @property
-    def height(self) -> int:
-        return self.source.height
-
-    @property
     def frame_count(self) -> int:
         return self.order[0] + len(self.order)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        return self.source.warnings
 
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """Frames ``start`` to ``stop``, counted as they are shown; pictures wait in memory where the order turns."""

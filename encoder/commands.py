@@ -407,7 +407,8 @@ def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObs
     from .output.progress import TerminalProgress
 
     if options.progress_lines is None:
-        with TerminalProgress(None if options.quiet else sys.stderr) as bars:
+        endless = options.live is not None and options.frames is None
+        with TerminalProgress(None if options.quiet else sys.stderr, endless=endless) as bars:
             yield bars
         return
     if options.output == "-":

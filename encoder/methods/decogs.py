@@ -2,8 +2,9 @@
 
 They start from the last displacement of their neighbourhood, and train for a number of steps that goes with what the
 frame misses. Its marks, in shares of the steps: emerging objects get Gaussians at a quarter, densification follows at
-half, and right after it changes that hardly show are reverted. Gradients and Adam's moments exist for the selected
-Gaussians only. Equations: docs/METHOD.md, "Focus-aware loss" to "Optimiser-state reset".
+half, and right after it changes that hardly show are reverted. On a stage, displacements are smoothed at both marks.
+Gradients and Adam's moments exist for the selected Gaussians only. Equations: docs/METHOD.md, "Focus-aware loss" to
+"Optimiser-state reset".
 """
 
 from __future__ import annotations

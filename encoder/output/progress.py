@@ -16,11 +16,11 @@ class TerminalProgress(EncodeObserver):
     """Shows an encode's progress on ``stream``; silent for None; a context manager.
 
     The analysis of the rig, then the keyframe's steps, then the frames: on a terminal a bar for each and a line of
-    figures per frame, elsewhere a line now and then.
+    figures per frame, elsewhere a line now and then. ``endless``: nobody knows yet how many frames there will be.
     """
 
-    def __init__(self, stream: TextIO | None) -> None:
-        self._stream = stream
+    def __init__(self, stream: TextIO | None, *, endless: bool = False) -> None:
+        self._stream, self._endless = stream, endless
         self._terminal = stream if stream is not None and stream.isatty() else None
         self._frames, self._asked = 0, range(0)
         self._progress: Progress | None = None
@@ -49,7 +49,7 @@ class TerminalProgress(EncodeObserver):
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
         if self._frames:
             note = f"keyframe of another scene {step}/{steps}" if step < steps else ""
-            self._open("frames", "frame").to(self._frames, len(self._asked), note)
+            self._open("frames", "frame").to(self._frames, self._total, note)
         else:
             self._open("keyframe", "step").to(step, steps, f"loss {loss:.4f}")
 
@@ -58,9 +58,13 @@ class TerminalProgress(EncodeObserver):
             self._close()
         progress = self._open("frames", "frame")
         self._frames += report.frame in self._asked  # A part's first keyframe is another part's.
-        progress.to(self._frames, len(self._asked))
+        progress.to(self._frames, self._total)
         if self._terminal:
             progress.write(frame_line(report))
+
+    @property
+    def _total(self) -> int:
+        return 0 if self._endless else len(self._asked)
 
     def _open(self, what: str, unit: str) -> Progress:
         if self._progress is None:

@@ -133,13 +133,10 @@ class PictureSource:
 
 
 @dataclass(frozen=True)
-class CutSource:
-    """``frame_count`` frames of another source, from its frame ``first`` on, every ``step``-th."""
+class SourceOfAnother:
+    """What a source has of the ``source`` whose frames it gives: where it is, its size, its warnings."""
 
     source: FrameSource
-    first: int
-    step: int
-    frame_count: int
 
     @property
     def path(self) -> Path:
@@ -157,14 +154,23 @@ class CutSource:
         return self.source.height
 
     @property
-    def fps(self) -> float | None:
-        """Frames per second of what is left; None when it is unknown."""
-        return None if self.source.fps is None else self.source.fps / self.step
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """Those of the whole source."""
         return self.source.warnings
+
+
+@dataclass(frozen=True)
+class CutSource(SourceOfAnother):
+    """``frame_count`` frames of another source, from its frame ``first`` on, every ``step``-th."""
+
+    first: int
+    step: int
+    frame_count: int
+
+    @property
+    def fps(self) -> float | None:
+        """Frames per second of what is left; None when it is unknown."""
+        return None if self.source.fps is None else self.source.fps / self.step
 
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """As of any source; errors name the frames of the whole source."""

@@ -47,6 +47,16 @@ def test_a_pipe_gets_lines_of_keyframe_and_frames(frame_report: FrameReport, mon
     assert lines[-1] == "frames: 2 of 2 frames, 0:00 elapsed"
 
 
+def test_of_a_recording_that_goes_on_nobody_knows_the_end(
+    frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("decogs.formats.progress._PAUSE", 0.0)
+    monkeypatch.setattr("decogs.formats.progress._SECONDS", 0.0)
+    pipe = io.StringIO()
+    follow(TerminalProgress(pipe, endless=True), frame_report)
+    assert pipe.getvalue().splitlines()[-1] == "frames: 2 frames, 0:00 elapsed"
+
+
 def test_the_first_keyframe_is_none_of_the_frames_of_a_later_part(
     frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
