@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import re
 import shutil
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 
+from decogs.decoder.following import follow_stream
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.presets import PRESETS
@@ -21,6 +26,7 @@ from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_live, open_rig, read_frames
 from encode_rig import encode_rig
 
+COMMANDS = Path(sys.executable).parent
 PACE = 0.05
 """Seconds from one frame to the next."""
 
@@ -157,6 +163,60 @@ def test_the_command(
     as_preset = ["--effects", ",".join(PRESET_EFFECTS)]
     assert encode_main([str(moving_rig), "-o", str(tmp_path / "after.dgs"), *options, *as_preset]) == 0
     assert (tmp_path / "live.dgs").read_bytes() == (tmp_path / "after.dgs").read_bytes()
+
+
+def test_the_pipe(tmp_path: Path, sources: Path, moving_rig: Path, moving: Any) -> None:
+    """``decogs-encode --live sources.toml -o - | decogs-view -``: seen while cameras record, whole at the end."""
+    capture, count = tmp_path / "capture", open_rig(moving_rig).frame_count
+    options = ["--preset", "live", "--quiet", "--keyframe", str(moving.path), "--holdout", "cam02"]
+    live = [*options, "--live", str(sources), "--frames", f":{count}", "-o", "-"]
+    copied(moving_rig, capture, range(2))
+    with (
+        subprocess.Popen([COMMANDS / "decogs-encode", *live], stdout=subprocess.PIPE) as encoder,
+        subprocess.Popen(
+            [COMMANDS / "decogs-view", "-", "--no-browser"], stdin=encoder.stdout, stdout=subprocess.PIPE, text=True
+        ) as viewer,
+    ):
+        try:
+            assert viewer.stdout is not None
+            url = viewer.stdout.readline().split()[1]
+            early = served(url, lambda data: frames_of(data) == 2)
+            assert frames_of(early) == 2
+            copied(moving_rig, capture, range(2, count))
+            assert encoder.wait(60) == 0
+            late = served(url, lambda data: frames_of(data) == count)
+        finally:
+            encoder.kill()
+            viewer.kill()
+    as_preset = ["--effects", ",".join(PRESET_EFFECTS)]
+    assert encode_main([str(moving_rig), "-o", str(tmp_path / "after.dgs"), *options, *as_preset]) == 0
+    assert late == (tmp_path / "after.dgs").read_bytes()
+    assert late.startswith(early)
+
+
+def copied(rig: Path, capture: Path, frames: range) -> None:
+    """Every camera's pictures of these frames, each under its name at once."""
+    for folder in (folder for folder in rig.iterdir() if folder.is_dir()):
+        (capture / folder.name).mkdir(parents=True, exist_ok=True)
+        for path in sorted(folder.glob("*.png"))[frames.start : frames.stop]:
+            shutil.copyfile(path, tmp := capture / folder.name / "new")
+            tmp.rename(capture / folder.name / path.name)
+
+
+def served(url: str, enough: Callable[[bytes], bool]) -> bytes:
+    """What the page is given once that is ``enough``, or after a minute."""
+    end = time.monotonic() + 60
+    while True:
+        with urlopen(url + "stream.dgs") as answer:
+            data: bytes = answer.read()
+        if enough(data) or time.monotonic() > end:
+            return data
+        time.sleep(0.05)
+
+
+def frames_of(data: bytes) -> int:
+    with follow_stream(io.BytesIO(data)) as stream:
+        return sum(1 for _ in stream.frames())
 
 
 @pytest.mark.parametrize(
