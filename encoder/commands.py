@@ -423,6 +423,7 @@ def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObs
 
 def _rig(options: argparse.Namespace) -> Rig | str:
     """The rig's folder, or the rig whose cameras are recording, with the effects that frames decide for themselves."""
+    from .option_texts import seconds_per_frame
     from .settings.effects import PRESET_EFFECTS
 
     if (options.rig_dir is None) == (options.live is None):
@@ -435,7 +436,8 @@ def _rig(options: argparse.Namespace) -> Rig | str:
         options.effects = ",".join(PRESET_EFFECTS)
     if options.effects.startswith("auto"):  # which looks at frames of the whole take
         raise UsageError(f"`effects` {options.effects}: a recording that goes on cannot be analysed; name the effects")
-    return open_live(options.live)
+    seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
+    return open_live(options.live, seconds_per_frame=seconds)
 
 
 def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:
@@ -500,9 +502,10 @@ def _left_out(report: EncodeReport) -> list[str]:
     """A line for every camera and reason, with the frames that it had no part in."""
     frames: dict[tuple[str, str], list[int]] = {}
     for frame in report.frames:
-        for left_out in frame.left_out.items():
+        why = {name: f"its picture is {why}" for name, why in frame.left_out.items()} | frame.dropped
+        for left_out in why.items():
             frames.setdefault(left_out, []).append(frame.frame)
-    return [f"camera {name} was left out of {_frames(at)}: its picture is {why}" for (name, why), at in frames.items()]
+    return [f"camera {name} was left out of {_frames(at)}: {why}" for (name, why), at in frames.items()]
 
 
 def _rejected(report: EncodeReport) -> str:
