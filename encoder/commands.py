@@ -56,7 +56,7 @@ def encode_parser() -> Parser:
     parser.add_argument(
         "--live",
         metavar="FILE",
-        help="instead of a rig: encode pictures while cameras record them; FILE, in TOML, says where they appear",
+        help="instead of a rig: encode what cameras record while they do; FILE, in TOML, says where it comes from",
     )
     parser.add_argument(
         "-o",
@@ -133,7 +133,8 @@ def _add_quality(group: argparse._ArgumentGroup) -> None:
         "--time-budget",
         metavar="T",
         help="maximum mean wall-clock time of the frames after the first (1.5s/frame, 500ms/frame or 1.5), from "
-        "decoded pictures to the written packet. Training is shortened to fit, so the bytes depend on the machine",
+        "decoded pictures to the written packet. Training is shortened to fit, so the bytes depend on the machine; with "
+        "--live, every n-th frame is encoded where cameras are faster",
     )
     group.add_argument(
         "--target-psnr",

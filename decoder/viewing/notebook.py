@@ -89,13 +89,15 @@ def view(
     or the end of Python. Raises UsageError, StreamError for what is no readable stream, RigError for what is no rig,
     OSError when the file cannot be read.
     """
+    from ..following import followed
     from .piped import PipedStream
     from .recorded_pictures import RecordedPictures
     from .server import serve_stream
 
     with ExitStack() as unless_served:
         if isinstance(stream, (str, os.PathLike)):
-            piped, path, header = None, Path(stream), check_header(stream, follow=follow, idle=idle)
+            piped, path = None, followed(stream) if follow else Path(stream)
+            header = check_header(stream, follow=follow, idle=idle)
         else:
             piped = unless_served.enter_context(PipedStream(stream))
             path, header, follow = piped.path, piped.header, True

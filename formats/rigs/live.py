@@ -15,6 +15,7 @@ import re
 import time
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from ..cameras import Camera
@@ -257,7 +258,7 @@ class _Terms:
 
     def of_video(self, connection: Connection) -> OpenFeed:
         """Opens the feed of a video."""
-        return lambda camera: VideoFeed(camera, connection, self.clock, self.fps, self.queue)
+        return partial(VideoFeed, connection=connection, clock=self.clock, fps=self.fps, most=self.queue)
 
 
 def _terms(fields: Fields) -> _Terms:
@@ -283,4 +284,4 @@ def _place(cameras: Fields, name: str, folder: Path, terms: _Terms) -> tuple[Pat
             name, "is no video, no address, and has not one place for the frame's number, such as {} or {:06d}"
         )
     before, digits, after = parts[0], int(parts[1] or 1), parts[2]
-    return path.parent, lambda camera: FolderFeed(camera, before, digits, after, terms.first)
+    return path.parent, partial(FolderFeed, before=before, digits=digits, after=after, first=terms.first)

@@ -18,6 +18,7 @@ from urllib.request import urlopen
 
 import pytest
 
+from decogs.decoder import open_stream
 from decogs.decoder.following import follow_stream
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.effects import PRESET_EFFECTS
@@ -241,22 +242,48 @@ def test_a_file_of_sources_that_cannot_be(sources: Path, replaced: str, by: str,
 
 
 def test_the_file_on_the_page(tmp_path: Path, moving_rig: Path) -> None:
-    """docs/rig.md: its example is read, and what it says of values left out is so."""
-    page = (Path(__file__).parents[2] / "docs" / "rig.md").read_text()
+    """docs/live.md: its example is read, and what it says of values left out is so."""
+    page = (Path(__file__).parents[2] / "docs" / "live.md").read_text()
     example = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
     assert example is not None
     (tmp_path / "rig_dir").symlink_to(moving_rig)
     lines = example[1].splitlines()
     shorter = [line for line in lines if "if left out" not in line]
-    assert len(shorter) == len(lines) - 3
+    assert len(shorter) == len(lines) - 4
     rigs = []
     for text in lines, shorter:
         (tmp_path / "sources.toml").write_text("\n".join(text))
         rigs.append(open_live(tmp_path / "sources.toml"))
-    assert [camera.name for camera in rigs[0].cameras] == ["cam00", "cam01"]
+    assert [camera.name for camera in rigs[0].cameras] == ["cam00", "cam01", "cam02"]
     assert rigs[0].fps == 25
-    said = [(source.recording.late, source.recording.end, source.path) for rig in rigs for source in rig.sources]  # type: ignore[attr-defined]
-    assert len(set(said)) == 2
+    assert len({source.path for source in rigs[0].sources}) == 3
+    assert what_is_known(rigs[0]) == what_is_known(rigs[1])
+
+
+def what_is_known(rig: Any) -> list[object]:
+    """Of a live rig all that its file says."""
+    recording = rig.sources[0].recording
+    feeds = [opened.keywords for opened in recording.opened.values()]
+    told = [{key: value for key, value in feed.items() if key != "clock"} for feed in feeds]
+    return [recording.fps, recording.late, recording.end, recording.every, told]
+
+
+def test_frames_that_a_budget_leaves_no_time_for(
+    tmp_path: Path,
+    sources: Path,
+    moving_rig: Path,
+    tiny_settings: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """.1 seconds are two and a half frames: each third one is encoded."""
+    shutil.copytree(moving_rig, tmp_path / "capture")
+    monkeypatch.setitem(PRESETS, "tiny", tiny_settings)
+    given = ["--live", str(impatient(sources)), "--preset", "tiny", "-o", str(tmp_path / "live.dgs"), "--quiet"]
+    assert encode_main([*given, "--time-budget", "100ms/frame"]) == 0
+    assert "one of 3 frames is encoded, so that the stream has 8.333 a second" in capsys.readouterr().err
+    with open_stream(tmp_path / "live.dgs") as stream:
+        assert (stream.frame_count, stream.header.fps) == (2, pytest.approx(25 / 3))
 
 
 def test_pictures_of_another_size(tmp_path: Path, sources: Path, moving_rig: Path) -> None:
