@@ -133,8 +133,8 @@ def _add_quality(group: argparse._ArgumentGroup) -> None:
         "--time-budget",
         metavar="T",
         help="maximum mean wall-clock time of the frames after the first (1.5s/frame, 500ms/frame or 1.5), from "
-        "decoded pictures to the written packet. Training is shortened to fit, so the bytes depend on the machine; with "
-        "--live, every n-th frame is encoded where cameras are faster",
+        "decoded pictures to the written packet. Training is shortened to fit, so the bytes depend on the machine; "
+        "with --live, every n-th frame is encoded where cameras are faster",
     )
     group.add_argument(
         "--target-psnr",
