@@ -39,6 +39,10 @@ _MAX_FOCAL_DEVIATION, _NAMED_FOCAL_DEVIATION = 0.02, 0.01
 the board is in the middle of the pictures, deviations of .002, .015 and .016 come with focal lengths off by 1 to 3 %,
 and .044 with one off by 16 %."""
 
+_MAX_FOCAL_ERROR, _NAMED_FOCAL_ERROR = 0.1, 0.02
+"""That a focal length from structure from motion may have: what is left out, and what is named (docs/calibrate.md)."""
+_LENS_HELP = "add cameras around it, or show all cameras a board (--board)"
+
 OnStep = Callable[[int, int], None]
 
 
@@ -202,9 +206,21 @@ def _by_motion(footage: tuple[Footage, ...], count: int, seed: int, shared: bool
     )
     left = [name for number, name in enumerate(names) if number not in mapped.cameras]
     reasons = dict.fromkeys(left, f"shares too little with placed cameras; {board}")
-    inaccurate = [one for one in placed if one.error > _MAX_ERROR * one.camera.width]
-    reasons |= {one.camera.name: _inaccurate(one.error, board) for one in inaccurate}
-    return _scaled(Calibration(tuple(one for one in placed if one not in inaccurate), reasons, mapped.way, ""))
+    inaccurate = {one.camera.name: one.error for one in placed if one.error > _MAX_ERROR * one.camera.width}
+    reasons |= {name: _inaccurate(error, board) for name, error in inaccurate.items()}
+    doubts = {
+        names[number]: (error, f"its focal length may be off by {_percent(error)}; {_LENS_HELP}")
+        for number, error in mapped.focal_errors.items()
+        if error > _NAMED_FOCAL_ERROR and names[number] not in reasons
+    }
+    reasons |= {name: doubt for name, (error, doubt) in doubts.items() if error > _MAX_FOCAL_ERROR}
+    kept = tuple(one for one in placed if one.camera.name not in reasons)
+    doubts_of_kept = {name: doubt for name, (_, doubt) in doubts.items() if name not in reasons}
+    return _scaled(Calibration(kept, reasons, mapped.way, "", doubts_of_kept))
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share < 1 else "anything"
 
 
 def _reprojection_error(mapped: Mapped, number: int) -> float:

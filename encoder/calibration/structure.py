@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs.colmap import lens_parameters
 
+from .certainty import focal_deviations
 from .features import Features
 from .held_out import PairMatches, Score, score
 
@@ -29,23 +30,29 @@ _MAX_ERROR_PIXELS = 2.0
 _MIN_INLIERS = 15
 _MIN_INLIER_SHARE = 0.4
 """Of a pair's matches; wrong pairs, whose features look alike, have a quarter to a half."""
-_LEAST_GAIN_PIXELS = 0.001
-"""Of the cost, by a lens with more freedom: `workbench` gains less by lenses that it has not, `panoptic_basketball`
-more by a principal point that is off the middle."""
+_KNOWN = 0.02
+"""Largest standard deviation of a focal length, as its share, with which a lens counts as determined: a few cameras that
+look at one place do not determine a free principal point, and leave 10 % and more."""
+_ERRORS = 3.0
+"""Standard deviations that a focal length may be off by: errors that matches have in common are not in them."""
 _MIN_ANGLE = 1.5
 """Degrees between the rays to a point."""
 _MAPPED_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL")
-_LENSES = ("SIMPLE_PINHOLE", "OPENCV", "OPENCV_FISHEYE")
+_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV", "OPENCV_FISHEYE")
 
 
 @dataclass(frozen=True)
 class Mapped:
-    """Cameras found, by their number, with the reconstruction they are from and their score; ``way`` in words."""
+    """Cameras found, by their number, with the reconstruction they are from and their score; ``way`` in words.
+
+    ``focal_errors``: how far each focal length may be off, as its share.
+    """
 
     cameras: Mapping[int, Camera]
     model: Any
     score: Score
     way: str
+    focal_errors: Mapping[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -145,18 +152,31 @@ def _global(database: Path, folder: Path, seed: int) -> list[Any]:
 
 
 def _refined(mapped: Mapped, matched: Matched) -> Mapped:
-    """The simplest of several lens models that is as good as any on what is held out."""
-    best = None
-    for free_centre in (False, True):
-        for lens in _LENSES:
-            model = mapped.model.__class__(mapped.model)
-            _adjust(model, lens, free_centre)
-            words = f"{mapped.way}, lens {lens.lower()}" + (", principal point free" if free_centre else "")
-            found = matched.scored(model, words)
-            if best is None or found.score.cost < best.score.cost - _LEAST_GAIN_PIXELS:
-                best = found
-    assert best is not None
-    return best
+    """The simplest of several lens models that is as good as any on what is held out, among those that are determined.
+
+    A focal length may be off by what its covariance says, and by what lenses that are as good would make of it.
+    """
+    found = [_with_lens(mapped, matched, lens, free_centre) for free_centre in (False, True) for lens in _LENSES]
+    known = [one for one in found if np.median(list(one.focal_errors.values())) <= _ERRORS * _KNOWN] or found[:1]
+    best = known[0]
+    for one in known[1:]:
+        best = one if one.score.is_clearly_better(best.score) else best
+    as_good = [one.cameras for one in known if not best.score.is_clearly_better(one.score)]
+    errors = {
+        number: max([error, *(abs(other[number].fx / best.cameras[number].fx - 1) for other in as_good)])
+        for number, error in best.focal_errors.items()
+    }
+    return replace(best, focal_errors=errors)
+
+
+def _with_lens(mapped: Mapped, matched: Matched, lens: str, free_centre: bool) -> Mapped:
+    """The same cameras adjusted with a lens model, and how far their focal lengths may be off by their covariance."""
+    model = mapped.model.__class__(mapped.model)
+    _adjust(model, lens, free_centre)
+    words = f"{mapped.way}, lens {lens.lower()}" + (", principal point free" if free_centre else "")
+    deviations = focal_deviations(model, free_centre)
+    errors = {image - 1: _ERRORS * deviation for image, deviation in deviations.items()}
+    return replace(matched.scored(model, words), focal_errors=errors)
 
 
 def _adjust(model: Any, lens: str, free_centre: bool) -> None:
@@ -185,6 +205,7 @@ def _change_lens(camera: Any, lens: str) -> None:
     radial = camera.params[3] if camera.model_name == "SIMPLE_RADIAL" else 0.0
     start = {
         "SIMPLE_PINHOLE": [focal, *centre],
+        "SIMPLE_RADIAL": [focal, *centre, radial],
         "OPENCV": [focal, focal, *centre, radial, 0, 0, 0],
         "OPENCV_FISHEYE": [focal, focal, *centre, 0, 0, 0, 0],
     }
