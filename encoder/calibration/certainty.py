@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -19,6 +19,9 @@ from decogs.formats.rigs.colmap import lens_parameters
 
 from .features import F64, I64
 
+_CENTRE = 0.003
+"""Standard deviation of where a lens's axis meets the picture, from its middle, in widths. Real ones are off by .01
+and more; where they are off by .02, focal lengths are off by at most what this says (docs/calibrate.md)."""
 _LEAST_CURVATURE = 1e-13
 """Of the normal equations, over their largest: below, they have no inverse in float64."""
 
@@ -34,38 +37,48 @@ class _Sights:
     by_point: F64
 
 
-def focal_deviations(model: Any, free_centre: bool) -> dict[int, float]:
+Freedom = Literal["focal", "lens", "centre"]
+"""What of a lens the adjustment chose: its focal length; its bends, too; its principal point, too."""
+
+
+def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
     """Standard deviation of each image's focal length, as its share, by the image's number in a pycolmap model.
 
-    All infinite where the points leave the lenses open.
+    With ``lens``, the principal point, which the adjustment held in the middle, may be off it by what is usual. All
+    infinite where the points leave the lenses open.
     """
     images = sorted(model.reg_image_ids())
     rows = {point: row for row, point in enumerate(sorted(model.points3D))}
     places = np.array([model.points3D[point].xyz for point in rows]).reshape(-1, 3)
     lenses = {image: model.cameras[model.images[image].camera_id] for image in images}
-    sights = {image: _sights(model.images[image], lenses[image], rows, places, free_centre) for image in images}
+    sights = {image: _sights(model.images[image], lenses[image], rows, places, freedom) for image in images}
     columns, count = _columns(model, images, {image: sights[image].by_lens.shape[2] for image in images})
-    normal = _reduced(sights, columns, count, len(places))
     kept = np.setdiff1d(np.arange(count), _gauge(model, images, columns))
-    scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
-    values, vectors = np.linalg.eigh(normal[np.ix_(kept, kept)] * scale * scale[:, None])
     known = 2 * sum(len(one.points) for one in sights.values()) - 3 * len(places) - len(kept)
-    if known <= 0 or values[0] <= _LEAST_CURVATURE * values[-1]:
+    if known <= 0:
         return dict.fromkeys(images, float(np.inf))
     variance = sum(float((one.residuals**2).sum()) for one in sights.values()) / known
+    normal = _reduced(sights, columns, count, len(places)) / variance
+    if freedom == "lens":
+        for image in images:
+            normal[columns[image][-2:], columns[image][-2:]] += (_CENTRE * lenses[image].width) ** -2.0
+    scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
+    values, vectors = np.linalg.eigh(normal[np.ix_(kept, kept)] * scale * scale[:, None])
+    if values[0] <= _LEAST_CURVATURE * values[-1]:
+        return dict.fromkeys(images, float(np.inf))
     deviations = np.zeros(count)
-    deviations[kept] = scale * np.sqrt(variance * (vectors**2 / values).sum(axis=1))
+    deviations[kept] = scale * np.sqrt((vectors**2 / values).sum(axis=1))
     return {image: float(deviations[columns[image][6]] / lenses[image].mean_focal_length()) for image in images}
 
 
-def _sights(image: Any, lens: Any, rows: Mapping[int, int], places: F64, free_centre: bool) -> _Sights:
+def _sights(image: Any, lens: Any, rows: Mapping[int, int], places: F64, freedom: Freedom) -> _Sights:
     seen = [point for point in image.points2D if point.has_point3D()]
     points = np.array([rows[point.point3D_id] for point in seen], np.int64)
     (fx, fy, cx, cy), kind, distortion = lens_parameters(lens.model_name, tuple(map(float, lens.params)))
     pose = image.cam_from_world().matrix()
     rotation, matrix = pose[:, :3], np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     parts = cv2.Rodrigues(rotation)[0], pose[:, 3:]
-    coefficients = np.array([*distortion, 0.0, 0.0, 0.0, 0.0][:4])
+    coefficients = np.array([*distortion, 0.0, 0.0, 0.0, 0.0][: max(4, len(distortion))])
     if kind == "fisheye":
         pixels, jacobian = cv2.fisheye.projectPoints(places[points].reshape(-1, 1, 3), *parts, matrix, coefficients)
         focal, centre, bends, by_rotation, by_translation, _ = np.split(jacobian, [2, 4, 8, 11, 14], axis=1)
@@ -74,7 +87,7 @@ def _sights(image: Any, lens: Any, rows: Mapping[int, int], places: F64, free_ce
         by_rotation, by_translation, focal, centre, bends = np.split(jacobian[:, :14], [3, 6, 8, 10], axis=1)
     if lens.model_name.startswith("SIMPLE"):
         focal, bends = focal.sum(axis=1, keepdims=True), bends[:, : int(lens.model_name == "SIMPLE_RADIAL")]
-    by_lens = np.concatenate([focal, bends, *([centre] if free_centre else [])], axis=1)
+    by_lens = np.asarray(focal if freedom == "focal" else np.concatenate([focal, bends, centre], axis=1), np.float64)
     shape = (len(points), 2, -1)
     by_translation = by_translation.reshape(shape)
     return _Sights(

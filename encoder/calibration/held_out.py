@@ -18,8 +18,8 @@ _CAP_PIXELS = 3.0
 _HELD_OUT = 8
 """Every so manieth track is held out."""
 _CLEARLY = 5.0
-"""Standard errors of the mean gain. With 4, straight lenses of `n3dv_flame_steak_frame0` come out bent, and focal lengths
-4 % off; lenses that bend (k1 = -.15) gain more where four cameras see them."""
+"""Standard errors of the mean gain. With 4, straight lenses of `n3dv_flame_steak_frame0` come out bent, and focal
+lengths 4 % off; lenses that bend (k1 = -.15) gain more where four cameras see them."""
 
 
 @dataclass(frozen=True)

@@ -106,17 +106,17 @@ def lens_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, i
     best, least = _KINDS[0], np.inf
     for kind in _KINDS:
         lens = _fitted(kind, chosen[::2], corners, size)
-        error = np.inf if lens is None else _error(lens, chosen[1::2], corners)
+        error = np.inf if lens is None else board_error(lens, chosen[1::2], corners)
         if error < _CLEARLY_LESS * least:
             best, least = kind, error
     return _fitted(best, chosen, corners, size)
 
 
-def focal_deviation(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> float:
-    """Standard deviation of the focal length that views of a board give, as its share, with the principal point free.
+def focal_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> tuple[float, float]:
+    """Focal length, px, that views of a board give with the principal point free, and its deviation, as its share.
 
-    From the covariance of the fit (`cv2.calibrateCameraExtended`); infinite where there is no fit, or no view
-    is tilted.
+    The standard deviation is from the covariance of the fit (`cv2.calibrateCameraExtended`); infinite where there is no
+    fit, or no view is tilted.
     """
     points, pixels = _board_points(_spread(views), corners)
     start = np.array([[1.0, 0, (size[0] - 1) / 2], [0, 1, (size[1] - 1) / 2], [0, 0, 1]])  # its ratio counts
@@ -126,11 +126,11 @@ def focal_deviation(views: Sequence[BoardView], corners: F64, size: tuple[int, i
             points, pixels, size, start, np.zeros(4), flags=flags
         )
     except cv2.error:
-        return float(np.inf)
+        return 0.0, float(np.inf)
     if max(np.degrees(np.arccos(abs(cv2.Rodrigues(rotation)[0][2, 2]))) for rotation in rotations) < _LEAST_TILT:
-        return float(np.inf)
+        return float(matrix[0, 0]), float(np.inf)
     share = float(deviations[:2].max() / matrix[0, 0])
-    return share if np.isfinite(share) and share > 0 else float(np.inf)
+    return float(matrix[0, 0]), share if np.isfinite(share) and share > 0 else float(np.inf)
 
 
 def _board_points(views: Sequence[BoardView], corners: F64) -> tuple[list[F32], list[F32]]:
@@ -172,8 +172,8 @@ def _fitted(
     return Lens(kind, (float(matrix[0, 0]), float(matrix[1, 1])), centre, tuple(distortion.ravel()[:4].tolist()))
 
 
-def _error(lens: Lens, views: Sequence[BoardView], corners: F64) -> float:
-    """Root mean square distance, px, with the board's pose found for each view."""
+def board_error(lens: Lens, views: Sequence[BoardView], corners: F64) -> float:
+    """Root mean square distance, px, of views from a lens, with the board's pose found for each."""
     squares = []
     for view in views:
         points, pixels = corners[view.numbers], view.pixels - 0.5

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.encoder.calibration.boards import parse_board
-from decogs.encoder.calibration.calibrate import Calibration, calibrate
+from decogs.encoder.calibration.calibrate import calibrate
+from decogs.encoder.calibration.placed import Calibration
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rigs import Rig, open_rig
 

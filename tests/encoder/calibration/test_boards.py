@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from decogs.encoder.calibration.board_rig import place_by_board
-from decogs.encoder.calibration.boards import BoardFinder, BoardView, parse_board
+from decogs.encoder.calibration.boards import BoardFinder, BoardView, Charuco, parse_board
 from decogs.encoder.calibration.lenses import Lens
 from decogs.formats.errors import UsageError
 
@@ -16,7 +16,7 @@ LENS = Lens("opencv", (500.0, 500.0), (319.5, 239.5), (-0.1, 0.02, 0.0, 0.0))
 
 
 def _picture(*, inverted: bool, mirrored: bool) -> np.ndarray:
-    drawn = np.asarray(parse_board(BOARD)._made().generateImage((500, 400)))
+    drawn = np.asarray(Charuco(5, 4, 0.05, 0.0375, "DICT_4X4_50").made().generateImage((500, 400)))
     picture = cv2.copyMakeBorder(drawn, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
     picture = 255 - picture if inverted else picture
     picture = picture[:, ::-1] if mirrored else picture
