@@ -83,11 +83,8 @@ def main() -> None:
             degrees, centres, focal = deviations(cameras, given)
             silent = "  <- in silence" if ((focal > 2) & (said < 2)).any() else ""
             word = "in doubt" if calibration.doubts else "accepted"
-            print(
-                f"| {head} | {word} | {np.median(said):.1f}, {said.max():.1f} % | {np.median(focal):.1f}, {focal.max():.1f} % "
-                f"| {degrees.max():.2f} degrees, {centres.max():.1f} % |{silent}",
-                flush=True,
-            )
+            truth = f"{np.median(focal):.1f}, {focal.max():.1f} % | {degrees.max():.2f} degrees, {centres.max():.1f} %"
+            print(f"| {head} | {word} | {np.median(said):.1f}, {said.max():.1f} % | {truth} |{silent}", flush=True)
 
 
 if __name__ == "__main__":
