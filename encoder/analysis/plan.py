@@ -25,6 +25,10 @@ _NAME_PIXELS = 14.0
 """Of a name from its camera."""
 _MOST_STROKE = 5.0
 _MOST_POINTS = 1500
+_SHOWN_SHARE = 0.9
+"""Of the points."""
+_FAR = 3.0
+"""Times the cameras' distance from one another that points are shown beyond them."""
 _THUMBNAIL_WIDTH = 200
 _STYLE = (
     "body{font:15px/1.45 system-ui,sans-serif;max-width:72em;margin:2em auto;padding:0 1em;color:#222;background:#fff}"
@@ -67,11 +71,13 @@ def plan(
     ``points`` (P, 3): what they see. Up is what most cameras hold up.
     """
     centres = np.array([camera_centre(camera) for camera in cameras])
-    axes, middle = _axes(cameras, from_side), centres.mean(axis=0)
-    scale = (_SIZE / 2 - _MARGIN) / max(float(np.abs((centres - middle) @ axes.T).max()), 1e-9)
+    axes = _axes(cameras, from_side)
+    reach = _FAR * float(np.linalg.norm(np.ptp(centres, axis=0)))
+    low, high = _box(centres @ axes.T, None if points is None else points @ axes.T, reach)
+    scale = (_SIZE - 2 * _MARGIN) / max(float((high - low).max()), 1e-9)
 
     def drawn(places: F64) -> F64:
-        return np.asarray(_SIZE / 2 + scale * (places - middle) @ axes.T)
+        return np.asarray(_SIZE / 2 + scale * (places @ axes.T - (low + high) / 2))
 
     at = {camera.name: drawn(centre) for camera, centre in zip(cameras, centres, strict=True)}
     most = max(links.values(), default=1)
@@ -96,6 +102,17 @@ def plan(
         )
     size = f"viewBox='0 0 {_SIZE} {_SIZE}' width='{_SIZE}'"
     return f"<svg xmlns='http://www.w3.org/2000/svg' role='img' {size}>" + "".join(parts) + "</svg>"
+
+
+def _box(centres: F64, points: F64 | None, reach: float) -> tuple[F64, F64]:
+    """The plan's corners: all cameras, and most of the points, if they are within reach of these."""
+    low, high = centres.min(axis=0), centres.max(axis=0)
+    if points is not None and len(points):
+        few = (1 - _SHOWN_SHARE) / 2
+        seen_low, seen_high = np.quantile(points, [few, 1 - few], axis=0)
+        low = np.minimum(low, np.maximum(seen_low, low - reach))
+        high = np.maximum(high, np.minimum(seen_high, high + reach))
+    return low, high
 
 
 def _axes(cameras: Sequence[Camera], from_side: bool) -> F64:

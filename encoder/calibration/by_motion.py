@@ -20,6 +20,9 @@ _INSTANTS = 8
 _MIN_EXPLAINED = 0.3
 """Share of matches held out that cameras have to explain. Right ones explain .36 of `panoptic_basketball` and .9 of
 `workbench`; on `stage`, with its patterned wallpaper, the best that is found explains .25, and is wrong."""
+_FEATURES_ERROR = 0.7
+"""Pixels that a right calibration may be off by in pictures of any size, since features are: .4 on `workbench`, .6 on
+`panoptic_basketball`."""
 _MAX_FOCAL_ERROR, _NAMED_FOCAL_ERROR = 0.1, 0.02
 """That a focal length may have: what is left out, and what is named (docs/calibrate.md)."""
 _BOARD = "show all cameras a board (--board), or put a camera in between"
@@ -93,7 +96,7 @@ def judged(mapped: Mapped | None, footage: Sequence[Footage]) -> Calibration:
     for number, one in enumerate(footage):
         if number not in errors:
             reasons[number] = f"shares too little with placed cameras; {_BOARD}"
-        elif errors[number] > MAX_ERROR * one.size[0]:
+        elif errors[number] > max(MAX_ERROR * one.size[0], _FEATURES_ERROR):
             reasons[number] = inaccurate(errors[number], _BOARD)
         elif mapped.focal_errors.get(number, 0) > _MAX_FOCAL_ERROR:
             reasons[number] = doubts[number]

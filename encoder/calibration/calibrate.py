@@ -15,7 +15,7 @@ from .by_board import lenses_by_board, place_with_board
 from .by_motion import place_by_motion
 from .footage import check_copies, open_footage
 from .given import given_lenses
-from .placed import Calibration, Distance, Edge, OnStep, measured, upright
+from .placed import Calibration, Distance, Edge, OnStep, by_reason, measured, upright
 
 MIN_CAMERAS = 3
 
@@ -56,8 +56,9 @@ def calibrate(
             footage, frames=frames, seed=seed, shared=shared_intrinsics, given=given, on_step=on_step
         )
     if len(found.placed) < MIN_CAMERAS:
-        reasons = "; ".join(f"{', '.join(names)}: {help_}" for help_, names in _by_reason(found.not_connected).items())
-        raise RigError(f"{videos}: only {len(found.placed)} of {len(footage)} cameras can be placed. {reasons}")
+        raise RigError(
+            f"{videos}: only {len(found.placed)} of {len(footage)} cameras can be placed. {_said(found.not_connected)}"
+        )
     return upright(found if distance is None else measured(found, distance), up)
 
 
@@ -71,9 +72,8 @@ def calibrate_lenses(
     footage = open_footage(photos)
     found = lenses_by_board(footage, board, frames, None, on_step)
     if found.reasons:
-        names = {footage[number].name: reason for number, reason in found.reasons.items()}
-        reasons = "; ".join(f"{', '.join(names)}: {help_}" for help_, names in _by_reason(names).items())
-        raise RigError(f"{photos}: not every lens can be found. {reasons}")
+        reasons = {footage[number].name: reason for number, reason in found.reasons.items()}
+        raise RigError(f"{photos}: not every lens can be found. {_said(reasons)}")
     cameras = {
         number: lens.camera(footage[number].name, footage[number].size, np.eye(4))
         for number, lens in found.lenses.items()
@@ -82,6 +82,5 @@ def calibrate_lenses(
     return {camera.name: (camera, found.errors[number]) for number, camera in cameras.items()}, doubts
 
 
-def _by_reason(reasons: Mapping[str, str]) -> dict[str, list[str]]:
-    """The cameras' names for each reason."""
-    return {help_: [name for name, its in reasons.items() if its == help_] for help_ in dict.fromkeys(reasons.values())}
+def _said(reasons: Mapping[str, str]) -> str:
+    return "; ".join(f"{names}: {reason}" for reason, names in by_reason(reasons).items())

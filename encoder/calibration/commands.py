@@ -77,7 +77,7 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
     from .boards import parse_board
     from .calibrate import calibrate
     from .page import page_of
-    from .placed import parse_distance
+    from .placed import by_reason, parse_distance
     from .written import write_rig
 
     if options.frames is not None and options.frames < 1:
@@ -99,16 +99,17 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
             on_step=on_step,
         )
     write_rig(found, Path(options.output), page_of(found, options.output))
-    for name, help_ in found.not_connected.items():
-        warn_as(parser)(f"{name}: not connected: {help_}")
-    for name, doubt in found.doubts.items():
-        warn_as(parser)(f"{name}: {doubt}")
+    for reason, names in by_reason(found.not_connected).items():
+        warn_as(parser)(f"{names}: not connected: {reason}")
+    for doubt, names in by_reason(found.doubts).items():
+        warn_as(parser)(f"{names}: {doubt}")
     lines = [_line(one.camera, one.error) for one in found.placed]
     print_text("\n".join([*lines, f"{len(found.placed)} cameras placed ({found.way})"]))
 
 
 def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | None) -> None:
     from .calibrate import calibrate_lenses
+    from .placed import by_reason
     from .written import write_lenses
 
     if board is None:
@@ -116,8 +117,8 @@ def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | Non
     with progress("calibrating", "step", quiet=options.quiet) as on_step:
         found, doubts = calibrate_lenses(Path(options.videos_dir), board, options.frames, on_step)
     write_lenses(found, Path(options.output))
-    for name, doubt in doubts.items():
-        warn_as(parser)(f"{name}: {doubt}")
+    for doubt, names in by_reason(doubts).items():
+        warn_as(parser)(f"{names}: {doubt}")
     print_text("\n".join(_line(camera, error) for camera, error in found.values()))
 
 

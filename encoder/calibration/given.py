@@ -25,6 +25,8 @@ MISFIT = 0.02
 between takes are the same lens, focused anew."""
 CERTAIN = 3.0
 """Standard deviations by which a focal length is certainly another one."""
+_NAMED = 4
+"""Cameras that a message names."""
 _ONE_SHAPE = 0.01
 """By which the sides of two pictures may differ in proportion, and the second is the first scaled."""
 
@@ -44,9 +46,10 @@ class Given:
             like = f", as given for {footage[others[0]].name}: are their videos exchanged?" if others else ""
             name, given = footage[number].name, self.lenses[number].focal[0]
             said.append(f"{name}: given {given:.1f} px, found {focal:.1f} px{like}")
+        more = f"; and {len(said) - _NAMED} more" if len(said) > _NAMED else ""
         return UsageError(
-            f"`intrinsics` {self.path}: pictures contradict focal lengths ({'; '.join(said)}); correct the file, or "
-            "calibrate without it"
+            f"`intrinsics` {self.path}: pictures contradict focal lengths ({'; '.join(said[:_NAMED])}{more}); correct "
+            "the file, or calibrate without it"
         )
 
     def fits(self, number: int, focal: float, deviation: float = 0.0) -> bool:

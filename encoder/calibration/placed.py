@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Literal, get_args
 
 import numpy as np
@@ -72,6 +73,12 @@ def parse_distance(text: str) -> Distance:
     return Distance(first, second, length)
 
 
+def by_reason(reasons: Mapping[str, str]) -> dict[str, str]:
+    """The cameras' names, with commas between them, for each reason."""
+    every = dict.fromkeys(reasons.values())
+    return {reason: ", ".join(name for name, its in reasons.items() if its == reason) for reason in every}
+
+
 def inaccurate(error: float, help_: str) -> str:
     """Why a camera with too large an error is left out."""
     return f"is off by {error:.1f} px; {help_}"
@@ -79,9 +86,9 @@ def inaccurate(error: float, help_: str) -> str:
 
 def scaled(found: Calibration) -> Calibration:
     """With 1 as the mean distance of two cameras."""
-    centres = np.array([camera_centre(placed.camera) for placed in found.placed])
-    distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)[np.triu_indices(len(centres), 1)]
-    return _moved(found, np.eye(3), 1 / float(distances.mean())) if distances.size else found
+    centres = [camera_centre(placed.camera) for placed in found.placed]
+    distances = [float(np.linalg.norm(one - two)) for one, two in combinations(centres, 2)]
+    return _moved(found, np.eye(3), 1 / float(np.mean(distances))) if distances else found
 
 
 def measured(found: Calibration, distance: Distance) -> Calibration:
