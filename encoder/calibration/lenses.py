@@ -7,7 +7,7 @@ back here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -95,28 +95,55 @@ class Lens:
 def lens_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> Lens | None:
     """A camera's lens from views of a board; None where they are too few or all alike.
 
-    Every other view is left out of the fit, and the kind taken that fits these best with only the board's pose found
-    for them; more coefficients have to be clearly better. The lens is then fitted to all. Too few views: no distortion.
+    Every other view is left out of the fit, or each in turn of a few, and the kind taken that fits these best with only
+    the board's pose found for them; more coefficients have to be clearly better. The lens is then fitted to all. Three
+    views: no distortion.
     """
     chosen = _spread(views)
     if len(chosen) < MIN_VIEWS:
         return None
-    if len(chosen) < 2 * MIN_VIEWS:
+    if len(chosen) == MIN_VIEWS:
         return _fitted(_KINDS[0], chosen, corners, size)
     best, least = _KINDS[0], np.inf
     for kind in _KINDS:
-        lens = _fitted(kind, chosen[::2], corners, size)
-        error = np.inf if lens is None else board_error(lens, chosen[1::2], corners)
+        error = _held_out_error(kind, chosen, corners, size)
         if error < _CLEARLY_LESS * least:
             best, least = kind, error
     return _fitted(best, chosen, corners, size)
 
 
-def focal_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> tuple[float, float]:
-    """Focal length, px, that views of a board give with the principal point free, and its deviation, as its share.
+def _held_out_error(
+    kind: tuple[DistortionModel, bool], views: Sequence[BoardView], corners: F64, size: tuple[int, int]
+) -> float:
+    """Root mean square error, px, of views that a lens of this kind is not fitted to."""
+    if len(views) < 2 * MIN_VIEWS:
+        parts = [([*views[:k], *views[k + 1 :]], [views[k]]) for k in range(len(views))]
+    else:
+        parts = [(list(views[::2]), list(views[1::2]))]
+    lenses = [(_fitted(kind, fitted, corners, size), held_out) for fitted, held_out in parts]
+    errors = [np.inf if lens is None else board_error(lens, held_out, corners) for lens, held_out in lenses]
+    return float(np.sqrt(np.mean(np.square(errors))))
 
-    The standard deviation is from the covariance of the fit (`cv2.calibrateCameraExtended`); infinite where there is no
-    fit, or no view is tilted.
+
+def focal_that_fits(lens: Lens, views: Sequence[BoardView], corners: F64) -> tuple[float, float]:
+    """The focal length, px, of an otherwise given lens with the least error, px, over views of a board; and that error.
+
+    Between half and twice the given one.
+    """
+
+    def error(scale: float) -> float:
+        return board_error(replace(lens, focal=(scale * lens.focal[0], scale * lens.focal[1])), views, corners)
+
+    scale = min(np.geomspace(0.5, 2, 29), key=error)
+    scale = min(scale * np.geomspace(0.95, 1.05, 21), key=error)
+    return float(scale * lens.focal[0]), error(scale)
+
+
+def focal_deviation(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> float:
+    """Standard deviation of the focal length that views of a board give, as its share, with the principal point free.
+
+    From the covariance of the fit (`cv2.calibrateCameraExtended`); infinite where there is no fit, or no view
+    is tilted.
     """
     points, pixels = _board_points(_spread(views), corners)
     start = np.array([[1.0, 0, (size[0] - 1) / 2], [0, 1, (size[1] - 1) / 2], [0, 0, 1]])  # its ratio counts
@@ -126,11 +153,11 @@ def focal_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, 
             points, pixels, size, start, np.zeros(4), flags=flags
         )
     except cv2.error:
-        return 0.0, float(np.inf)
+        return float(np.inf)
     if max(np.degrees(np.arccos(abs(cv2.Rodrigues(rotation)[0][2, 2]))) for rotation in rotations) < _LEAST_TILT:
-        return float(matrix[0, 0]), float(np.inf)
+        return float(np.inf)
     share = float(deviations[:2].max() / matrix[0, 0])
-    return float(matrix[0, 0]), share if np.isfinite(share) and share > 0 else float(np.inf)
+    return share if np.isfinite(share) and share > 0 else float(np.inf)
 
 
 def _board_points(views: Sequence[BoardView], corners: F64) -> tuple[list[F32], list[F32]]:

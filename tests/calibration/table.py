@@ -1,4 +1,4 @@
-"""How far decogs-calibrate comes from given poses: ``python tests/calibration/table.py RIG [--board BOARD]``.
+"""How far decogs-calibrate comes from given poses: ``python tests/calibration/table.py RIG``.
 
 It gets only the rig's videos. Found cameras are laid over the given ones by the similarity that fits their poses best.
 """
@@ -9,6 +9,7 @@ import argparse
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +18,19 @@ from decogs.encoder.calibration.boards import parse_board
 from decogs.encoder.calibration.calibrate import calibrate
 from decogs.encoder.calibration.placed import Calibration
 from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.errors import DecogsError
 from decogs.formats.rigs import Rig, open_rig
 
 F64 = NDArray[np.float64]
 
 
-def found_from(rig: Rig, board: str | None, left_out: set[str]) -> Calibration:
+def found_from(rig: Rig, left_out: set[str], **choices: Any) -> Calibration:
     """The calibration found from the rig's videos alone."""
     with tempfile.TemporaryDirectory() as folder:
         for camera, source in zip(rig.cameras, rig.sources, strict=True):
             if camera.name not in left_out:
                 (Path(folder) / f"{camera.name}{source.path.suffix}").symlink_to(source.path.resolve())
-        return calibrate(Path(folder), board=None if board is None else parse_board(board))
+        return calibrate(Path(folder), **choices)
 
 
 def deviations(found: list[Camera], given: list[Camera]) -> tuple[F64, F64, F64]:
@@ -51,17 +53,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("rig", type=Path)
     parser.add_argument("--board")
+    parser.add_argument("--intrinsics", type=Path)
+    parser.add_argument("--frames", type=int)
     parser.add_argument("--without", default="", help="names of cameras, with commas between them")
     options = parser.parse_args()
     rig, start = open_rig(options.rig), time.process_time()
-    calibration = found_from(rig, options.board, set(options.without.split(",")))
+    board = None if options.board is None else parse_board(options.board)
+    choices = {"board": board, "intrinsics": options.intrinsics, "frames": options.frames}
+    try:
+        calibration = found_from(rig, set(options.without.split(",")), **choices)
+    except DecogsError as error:
+        print(error)
+        print(f"| {options.rig.name} | refused | | | | {time.process_time() - start:.0f} |")
+        return
     seconds, given = time.process_time() - start, {camera.name: camera for camera in rig.cameras}
     found = [one.camera for one in calibration.placed]
     rows = np.stack(deviations(found, [given[camera.name] for camera in found]), axis=1)
     for camera, (degrees, centre, focal) in zip(found, rows, strict=True):
         print(f"{camera.name}: rotation {degrees:.2f} degrees, centre {centre:.1f} %, focal {focal:.1f} %")
-    for name, reason in calibration.not_connected.items():
+    for name, reason in (*calibration.not_connected.items(), *calibration.doubts.items()):
         print(f"{name}: {reason}")
+    print(calibration.way)
     print("| rig | cameras | rotation, median, worst | centres, median, worst | focal, median, worst | CPU-s |")
     pairs = [f"{np.median(column):.2f}, {column.max():.2f}" for column in rows.T]
     print(f"| {options.rig.name} | {len(found)} of {len(given)} | {' | '.join(pairs)} | {seconds:.0f} |")

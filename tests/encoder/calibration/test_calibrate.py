@@ -15,7 +15,7 @@ from decogs.encoder.calibration import by_board as module
 from decogs.encoder.calibration.board_rig import BoardRig
 from decogs.encoder.calibration.boards import BoardView, parse_board
 from decogs.encoder.calibration.commands import calibrate_main
-from decogs.encoder.calibration.lenses import Lens, focal_from_board
+from decogs.encoder.calibration.lenses import Lens, focal_deviation
 from decogs.formats.rigs import open_rig
 
 CORNERS = parse_board("charuco:5x4:0.05:0.0375:DICT_4X4_50").corners()
@@ -34,9 +34,9 @@ def _views(tilt: float, count: int = 10) -> list[BoardView]:
 
 
 def test_a_board_that_is_never_tilted_leaves_the_focal_length_open() -> None:
-    assert focal_from_board(_views(0.6), CORNERS, (640, 480))[1] < 0.01
-    assert focal_from_board(_views(0.1), CORNERS, (640, 480))[1] > 0.02
-    assert focal_from_board(_views(0.01), CORNERS, (640, 480))[1] == np.inf
+    assert focal_deviation(_views(0.6), CORNERS, (640, 480)) < 0.01
+    assert focal_deviation(_views(0.1), CORNERS, (640, 480)) > 0.02
+    assert focal_deviation(_views(0.01), CORNERS, (640, 480)) == np.inf
 
 
 def test_the_camera_with_too_large_an_error_is_left_out_and_the_rest_placed_anew(
