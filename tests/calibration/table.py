@@ -8,6 +8,8 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,18 +35,31 @@ def found_from(rig: Rig, left_out: set[str], **choices: Any) -> Calibration:
         return calibrate(Path(folder), **choices)
 
 
-def deviations(found: list[Camera], given: list[Camera]) -> tuple[F64, F64, F64]:
-    """Of each camera: degrees of its rotation, its centre in % of the mean baseline, its focal length in %."""
+def laid_over(found: Sequence[Camera], given: Sequence[Camera]) -> list[Camera]:
+    """The found cameras moved, turned and scaled as one, so that they come closest to the given ones."""
     turns = [two.world_to_camera[:3, :3].T @ one.world_to_camera[:3, :3] for one, two in zip(found, given, strict=True)]
     left, _, right = np.linalg.svd(np.sum(turns, axis=0))
     turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
-    cosines = [(np.trace(one.T @ turn) - 1) / 2 for one in turns]
     here, there = (np.array([camera_centre(camera) for camera in cameras]) for cameras in (found, given))
-    here, there = (here - here.mean(axis=0)) @ turn.T, there - there.mean(axis=0)
-    here *= (here * there).sum() / (here**2).sum()
+    apart, wanted = (here - here.mean(axis=0)) @ turn.T, there - there.mean(axis=0)
+    centres = there.mean(axis=0) + apart * (apart * wanted).sum() / (apart**2).sum()
+    moved = []
+    for camera, centre in zip(found, centres, strict=True):
+        pose = np.eye(4)
+        pose[:3, :3] = camera.world_to_camera[:3, :3] @ turn.T
+        pose[:3, 3] = -pose[:3, :3] @ centre
+        moved.append(replace(camera, world_to_camera=pose))
+    return moved
+
+
+def deviations(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[F64, F64, F64]:
+    """Of each camera: degrees of its rotation, its centre in % of the mean baseline, its focal length in %."""
+    pairs = list(zip(laid_over(found, given), given, strict=True))
+    turns = np.array([one.world_to_camera[:3, :3] @ two.world_to_camera[:3, :3].T for one, two in pairs])
+    degrees = np.degrees(np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    here, there = (np.array([camera_centre(pair[side]) for pair in pairs]) for side in (0, 1))
     baseline = np.linalg.norm(there[:, None] - there[None], axis=2).sum() / (len(there) * (len(there) - 1))
-    focal = [abs(one.fx / two.fx - 1) for one, two in zip(found, given, strict=True)]
-    degrees = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    focal = [abs(one.fx / two.fx - 1) for one, two in pairs]
     return degrees, 100 * np.linalg.norm(here - there, axis=1) / baseline, 100 * np.array(focal)
 
 
