@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from decogs.decoder.lens import distort_pixels, with_k1
 from decogs.encoder.calibration import certainty
 from decogs.encoder.calibration.certainty import focal_deviations
 from decogs.encoder.calibration.features import Features
+from decogs.encoder.calibration.given import Given
 from decogs.encoder.calibration.held_out import split
+from decogs.encoder.calibration.lenses import Lens
 from decogs.encoder.calibration.structure import Mapped, Matched, map_cameras
 from decogs.formats.cameras import Camera, project
 
@@ -85,3 +89,32 @@ def test_points_that_leave_focal_lengths_open_are_said_to() -> None:
     """Few cameras, a free principal point: nothing is said to be known (to less than a tenth)."""
     mapped = placed(arc(3), 0)
     assert min(focal_deviations(mapped.model, "centre").values()) > 0.02
+
+
+def lenses(focal: Sequence[float]) -> Given:
+    return Given(Path("lenses"), tuple(Lens("none", (one, one), (319.5, 239.5), (0.0,) * 4) for one in focal))
+
+
+@pytest.mark.parametrize(
+    ("given", "wrong"),
+    [
+        ([500.0] * 5, {}),
+        ([500.0, 500, 550, 500, 500], {2: 500}),
+        ([450.0] * 5, dict.fromkeys(range(5), 500)),
+    ],
+)
+def test_given_focal_lengths_stay_and_wrong_ones_are_named(given: list[float], wrong: dict[int, float]) -> None:
+    start = replace(matched_points(arc(5), 0), given=lenses(given))
+    mapped = map_cameras(start, 0, lambda: None)
+    assert mapped is not None
+    assert [camera.fx for _, camera in sorted(mapped.cameras.items())] == given
+    assert mapped.misfits == pytest.approx(wrong, rel=0.02)  # from where a misfit counts
+
+
+def test_exchanged_videos_of_unlike_lenses_are_named() -> None:
+    cameras = arc(5)
+    cameras[1] = replace(cameras[1], fx=650.0, fy=650.0)
+    start = replace(matched_points(cameras, 0), given=lenses([500, 500, 500, 650, 500]))
+    mapped = map_cameras(start, 0, lambda: None)
+    assert mapped is not None
+    assert sorted(mapped.misfits) == [1, 3]
