@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from .by_motion import place_by_motion
 from .footage import check_copies, open_footage
 from .given import given_lenses
 from .placed import Calibration, Distance, Edge, OnStep, by_reason, measured, upright
+from .starts import brought_in_step
 
 MIN_CAMERAS = 3
 
@@ -30,14 +32,15 @@ def calibrate(
     intrinsics: Path | None = None,
     distance: Distance | None = None,
     up: Edge = "auto",
+    sync: str | None = None,
     on_step: OnStep = lambda done, total: None,
 ) -> Calibration:
     """Places the cameras whose videos are in a folder.
 
     ``frames``: instants of the take that are looked at. ``intrinsics``: a file with lenses, which stay. The unit is the
     metre with a board or a ``distance``; else the mean distance of two cameras is 1. Up, where most pictures have the
-    edge ``up``, is -Y. Raises RigError where fewer than three cameras can be placed, with what would help, and
-    UsageError for lenses that do not suit the videos.
+    edge ``up``, is -Y. ``sync``: "auto" or a sync.json brings the videos in step first. Raises RigError where fewer
+    than three cameras can be placed, with what would help, and UsageError for lenses that do not suit the videos.
     """
     footage = open_footage(videos)
     if len(footage) < MIN_CAMERAS:
@@ -48,6 +51,9 @@ def calibrate(
     if intrinsics is not None and shared_intrinsics:
         raise UsageError("`intrinsics`: says which cameras share a lens; leave `shared_intrinsics` away")
     given = None if intrinsics is None else given_lenses(intrinsics, footage)
+    warnings: tuple[str, ...] = ()
+    if sync is not None:
+        footage, warnings = brought_in_step(videos, footage, sync)
     check_copies(footage)
     if board is not None:
         found = place_with_board(footage, board, frames, given, on_step)
@@ -59,7 +65,8 @@ def calibrate(
         raise RigError(
             f"{videos}: only {len(found.placed)} of {len(footage)} cameras can be placed. {_said(found.not_connected)}"
         )
-    return upright(found if distance is None else measured(found, distance), up)
+    placed = upright(found if distance is None else measured(found, distance), up)
+    return replace(placed, warnings=warnings)
 
 
 def calibrate_lenses(

@@ -63,6 +63,12 @@ def calibrate_parser() -> Parser:
         help="the edge that points up in most pictures (default: as most are held)",
     )
     parser.add_argument(
+        "--sync",
+        metavar="S",
+        help="auto: bring videos in step by timecode or sound, before they are looked at; or a sync.json (default: "
+        "frame k of all is one instant)",
+    )
+    parser.add_argument(
         "--frames", type=whole_number, metavar="N", help="instants looked at (default: 120 with a board, else 8)"
     )
     parser.add_argument("--seed", type=whole_number, default=0, metavar="S", help="of random choices (default 0)")
@@ -96,9 +102,12 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
             intrinsics=None if options.intrinsics is None else Path(options.intrinsics),
             distance=None if options.distance is None else parse_distance(options.distance),
             up=options.up,
+            sync=options.sync,
             on_step=on_step,
         )
     write_rig(found, Path(options.output), page_of(found, options.output))
+    for warning in found.warnings:
+        warn_as(parser)(warning)
     for reason, names in by_reason(found.not_connected).items():
         warn_as(parser)(f"{names}: not connected: {reason}")
     for doubt, names in by_reason(found.doubts).items():

@@ -33,10 +33,14 @@ _SOUGHT_FROM = 30
 
 @dataclass(frozen=True)
 class Footage:
-    """One camera: its name, the stem of its file, and its frames."""
+    """One camera: its name, the stem of its file, its frames, and when the first of the recording was taken.
+
+    ``start``: in frames, of which only differences count; None: nobody says.
+    """
 
     name: str
     source: FrameSource
+    start: float | None = None
 
     @property
     def size(self) -> tuple[int, int]:

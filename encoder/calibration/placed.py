@@ -40,7 +40,7 @@ class Calibration:
     """Placed cameras, what would help those that are not, by name, the way they were placed, and the world's unit.
 
     ``doubts``: what is uncertain about placed cameras, by name. ``links``: how many points (with a board: instants) two
-    cameras share, by their names. ``points`` (P, 3): what the cameras see, in the world.
+    cameras share, by their names. ``points`` (P, 3): what the cameras see, in the world. ``warnings``: of their starts.
     """
 
     placed: tuple[Placed, ...]
@@ -50,6 +50,7 @@ class Calibration:
     doubts: Mapping[str, str] = field(default_factory=dict)
     links: Mapping[tuple[str, str], int] = field(default_factory=dict)
     points: F64 = field(default_factory=lambda: np.zeros((0, 3)))
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

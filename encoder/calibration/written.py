@@ -67,6 +67,7 @@ def _rig(found: Calibration, folder: Path) -> dict[str, Any]:
             "distortion": list(one.camera.distortion),
             "world_to_camera": one.camera.world_to_camera.tolist(),
         }
+        | ({} if one.footage.start is None else {"start": one.footage.start})
         for one in found.placed
     ]
     unit = {"length_unit": found.length_unit} if found.length_unit else {}

@@ -91,14 +91,28 @@ def find_starts(rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done
             small_clip(*own) for own in zip(rig.sources, map(_first_frames, rig.sources, steps), small, strict=True)
         ]
         moved = starts_by_motion(small, clips, each, lambda done: on_step(len(cameras) + done, total))
-        found = [(TIMECODE, starts_by_timecode(rig, rate))]
-        if rate is not None:
-            heard = starts_by_sound(cameras, sounds, metres_of(rig.length_unit))
-            found.append((AUDIO, Joint(heard.starts * rate, heard.errors * rate, heard.votes)))
-        found.append((MOTION, whole_if_in_step(moved)))
+        found = [*_without_pictures(rig, rate, sounds), (MOTION, whole_if_in_step(moved))]
         together = joined([camera.name for camera in cameras], rate, found)
         drifts = find_drifts(rig, together.starts, each) if together.starts else {}
     return replace(together, warnings=(*together.warnings, *said(drifts, rate or 1.0)))
+
+
+def find_starts_without_poses(rig: Rig, *, threads: int = 0) -> Synchrony:
+    """The same by timecode and sound alone, which need no poses. Raises RigError as `find_starts`."""
+    rate = common_rate(rig)
+    steps_of(rig)
+    with side_by_side(threads) as each:
+        sounds = list(each(_sound, rig.sources))
+    return joined([camera.name for camera in rig.cameras], rate, _without_pictures(rig, rate, sounds))
+
+
+def _without_pictures(rig: Rig, rate: float | None, sounds: Sequence[Sound | None]) -> list[tuple[str, Joint]]:
+    """What timecode and sound say, in frames of ``rate``."""
+    found = [(TIMECODE, starts_by_timecode(rig, rate))]
+    if rate is not None:
+        heard = starts_by_sound(rig.cameras, sounds, metres_of(rig.length_unit))
+        found.append((AUDIO, Joint(heard.starts * rate, heard.errors * rate, heard.votes)))
+    return found
 
 
 def frames_late(cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]], each: Each) -> F64:

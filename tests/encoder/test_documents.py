@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
-from board_videos import write_board_videos
+from board_videos import write_board_videos, write_phone_videos
 from decogs.decoder.commands import decode_main, export_main, info_main, view_main
 from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
@@ -79,6 +79,8 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
     live += [f'{name} = "rig_dir/{name}/{{:04d}}.png"' for name in tiny_rig.names]
     (tmp_path / "sources.toml").write_text("\n".join(live))
     write_board_videos(tmp_path / "videos_dir")
+    (tmp_path / "lens_dir").symlink_to(tmp_path / "videos_dir")
+    write_phone_videos(tmp_path / "phones")
     short = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),

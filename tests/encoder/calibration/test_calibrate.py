@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from board_videos import BOARD, FOCAL, POSES, write_board_videos
+from board_videos import BOARD, FOCAL, PHONES, POSES, write_board_videos, write_phone_videos
 from decogs.encoder.calibration import by_board as module
 from decogs.encoder.calibration.board_rig import BoardRig
 from decogs.encoder.calibration.boards import BoardView, parse_board
@@ -115,3 +116,34 @@ def _write_pictures(folder: Path, names: list[str]) -> None:
         (folder / name).mkdir(parents=True)
         for frame in range(2):
             cv2.imwrite(str(folder / name / f"{frame:04d}.png"), np.full((48, 64, 3), 128, np.uint8))
+
+
+def test_phones_are_brought_in_step_by_what_they_heard(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_phone_videos(tmp_path / "phones")
+    given = [str(tmp_path / "phones"), "--board", BOARD, "-q"]
+    assert calibrate_main([*given, "-o", str(tmp_path / "apart")]) == 2
+    capsys.readouterr()
+    assert calibrate_main([*given, "-o", str(tmp_path / "rig"), "--sync", "auto"]) == 0
+    assert "cameras start up to 5 frames apart" in capsys.readouterr().err
+    rig = open_rig(tmp_path / "rig")
+    # A tick of a thousandth of a second, and the coder's own blur of an onset.
+    assert rig.starts == pytest.approx(PHONES, abs=0.1)
+    assert rig.frame_count == 35
+    for camera in rig.cameras:
+        assert camera.fx == pytest.approx(FOCAL, rel=0.01)
+
+    starts = {"fps": 30, "cameras": [{"name": name, "offset": start} for name, start in PHONES.items()]}
+    (tmp_path / "sync.json").write_text(json.dumps(starts))
+    assert calibrate_main([*given, "-o", str(tmp_path / "told"), "--sync", str(tmp_path / "sync.json")]) == 0
+    assert open_rig(tmp_path / "told").starts == PHONES
+
+
+def test_videos_of_which_nothing_says_the_start_are_taken_to_be_in_step(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_board_videos(tmp_path / "videos")
+    assert (
+        calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "--board", BOARD, "--sync", "auto"]) == 0
+    )
+    assert "neither timecode nor sound says when its cameras start" in capsys.readouterr().err
+    assert not open_rig(tmp_path / "rig").starts
