@@ -22,8 +22,9 @@ from .features import F64, I64
 _CENTRE = 0.003
 """Standard deviation of where a lens's axis meets the picture, from its middle, in widths. Real ones are off by .01
 and more; where they are off by .02, focal lengths are off by at most what this says (docs/calibrate.md)."""
-_LEAST_CURVATURE = 1e-13
-"""Of the normal equations, over their largest: below, they have no inverse in float64."""
+_LEAST_PIVOT = 1e-6
+"""Of the normal equations' Cholesky factor, whose diagonal would be 1 if no unknown hung together with others: below,
+they have no inverse in float64."""
 
 
 @dataclass(frozen=True)
@@ -58,16 +59,19 @@ def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
     if known <= 0:
         return dict.fromkeys(images, float(np.inf))
     variance = sum(float((one.residuals**2).sum()) for one in sights.values()) / known
-    normal = _reduced(sights, columns, count, len(places)) / variance
-    if freedom == "lens":
-        for image in images:
-            normal[columns[image][-2:], columns[image][-2:]] += (_CENTRE * lenses[image].width) ** -2.0
-    scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
-    values, vectors = np.linalg.eigh(normal[np.ix_(kept, kept)] * scale * scale[:, None])
-    if values[0] <= _LEAST_CURVATURE * values[-1]:
+    try:
+        normal = _reduced(sights, columns, count, len(places)) / variance
+        if freedom == "lens":
+            for x, y, width in {(*columns[image][-2:].tolist(), lenses[image].width) for image in images}:
+                normal[[x, y], [x, y]] += (_CENTRE * width) ** -2.0
+        scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
+        root = np.linalg.cholesky(normal[np.ix_(kept, kept)] * scale * scale[:, None])
+    except np.linalg.LinAlgError:
+        return dict.fromkeys(images, float(np.inf))
+    if root.diagonal().min() < _LEAST_PIVOT:
         return dict.fromkeys(images, float(np.inf))
     deviations = np.zeros(count)
-    deviations[kept] = scale * np.sqrt((vectors**2 / values).sum(axis=1))
+    deviations[kept] = scale * np.sqrt((np.linalg.inv(root) ** 2).sum(axis=0))
     return {image: float(deviations[columns[image][6]] / lenses[image].mean_focal_length()) for image in images}
 
 

@@ -7,7 +7,9 @@ the same pictures give the same bits on one machine.
 
 from __future__ import annotations
 
+import signal
 import tempfile
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -88,12 +90,15 @@ class Matched:
 
 def require_pycolmap() -> Any:
     """The module; raises UsageError where it is not installed."""
+    on_termination = signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap
     except ImportError:
         raise UsageError(
             "without a board, cameras are placed by pycolmap, which is not installed: pip install 'decogs[calibrate]'"
         ) from None
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, on_termination)  # pycolmap's prints a stack trace and leaves everything lying
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     return pycolmap
 
