@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -25,6 +25,9 @@ _FEATURES_ERROR = 0.7
 `panoptic_basketball`."""
 _MAX_FOCAL_ERROR, _NAMED_FOCAL_ERROR = 0.1, 0.02
 """That a focal length may have: what is left out, and what is named (docs/calibrate.md)."""
+_MOVES, _MOVES_MORE = 0.4, 2.0
+"""Share of a picture that moves with its camera, at least, and times the usual share: of one that pans .5 to .8; of
+`workbench_drift`, where one camera shakes by a pixel, .5, and others' .3."""
 _BOARD = "show all cameras a board (--board), or put a camera in between"
 _LENS_HELP = "add cameras around it, show it a board (--board), or give its lens (--intrinsics)"
 
@@ -58,7 +61,17 @@ def place_by_motion(
         misfits = mapped.misfits if mapped is not None and _is_consistent(mapped) else _without(given, start, seed)
         if misfits:
             raise given.contradicted(footage, misfits)
-    return judged(mapped, footage)
+    return _still(judged(mapped, footage), {one.name: own.moving for one, own in zip(footage, features, strict=True)})
+
+
+def _still(found: Calibration, moving: Mapping[str, float]) -> Calibration:
+    """With a word on cameras whose whole picture moves, by the share of each that does."""
+    usual = float(np.median(list(moving.values())))
+    moved = [name for name, share in moving.items() if share > max(_MOVES, _MOVES_MORE * usual)]
+    words = dict.fromkeys(moved, "most of its picture moves, of others' does not; cameras have to stand still")
+    reasons = {name: words.get(name, reason) for name, reason in found.not_connected.items()}
+    doubts = {name: word for name, word in words.items() if name not in reasons}
+    return replace(found, not_connected=reasons, doubts={**found.doubts, **doubts})
 
 
 def _is_consistent(mapped: Mapped) -> bool:

@@ -11,11 +11,13 @@ import pytest
 
 from decogs.decoder.lens import distort_pixels, with_k1
 from decogs.encoder.calibration import certainty
+from decogs.encoder.calibration.by_motion import _still
 from decogs.encoder.calibration.certainty import focal_deviations
 from decogs.encoder.calibration.features import Features
 from decogs.encoder.calibration.given import Given
 from decogs.encoder.calibration.held_out import split
 from decogs.encoder.calibration.lenses import Lens
+from decogs.encoder.calibration.placed import Calibration
 from decogs.encoder.calibration.structure import Mapped, Matched, map_cameras
 from decogs.formats.cameras import Camera, project
 
@@ -118,3 +120,14 @@ def test_exchanged_videos_of_unlike_lenses_are_named() -> None:
     mapped = map_cameras(start, 0, lambda: None)
     assert mapped is not None
     assert sorted(mapped.misfits) == [1, 3]
+
+
+def test_a_camera_whose_whole_picture_moves_is_named() -> None:
+    found = _still(
+        Calibration((), {"b": "is lost", "c": "is lost"}, "", ""), {"a": 0.6, "b": 0.7, "c": 0.1, "d": 0.1, "e": 0.2}
+    )
+    assert found.not_connected["c"] == "is lost"
+    assert "have to stand still" in found.not_connected["b"]
+    assert list(found.doubts) == ["a"]
+    everything_moves = dict.fromkeys("abc", 0.9)
+    assert not _still(Calibration((), {}, "", ""), everything_moves).doubts
