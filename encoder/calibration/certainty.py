@@ -46,8 +46,8 @@ Freedom = Literal["focal", "lens", "centre"]
 def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
     """Standard deviation of each image's focal length, as its share, by the image's number in a pycolmap model.
 
-    With ``lens``, the principal point, which the adjustment held in the middle, may be off it by what is usual. Infinite
-    where the points leave the lenses open, and for images without points.
+    With ``lens``, the principal point, which the adjustment held in the middle, may be off it by what is usual.
+    Infinite where the points leave the lenses open, and for images without points.
     """
     unknown = dict.fromkeys(sorted(model.reg_image_ids()), float(np.inf))
     images = [image for image in unknown if model.images[image].num_points3D]
