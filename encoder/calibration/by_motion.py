@@ -11,7 +11,7 @@ import numpy as np
 
 from .features import F64, Features, features_of, matched, sift_extractor
 from .footage import Footage, instants_of, pictures_at
-from .given import Given
+from .given import CERTAIN, Given
 from .held_out import split
 from .placed import MAX_ERROR, Calibration, OnStep, Placed, inaccurate, scaled
 from .structure import Mapped, Matched, map_cameras, require_pycolmap
@@ -59,10 +59,8 @@ def place_by_motion(
     start = Matched([one.name for one in footage], [one.size for one in footage], features, matches, shared, given)
     ways = iter(range(len(footage) + 1, total + 1))
     mapped = map_cameras(start, seed, lambda: on_step(next(ways), total))
-    if given is not None:
-        misfits = mapped.misfits if mapped is not None and _is_consistent(mapped) else _without(given, start, seed)
-        if misfits:
-            raise given.contradicted(footage, misfits)
+    if given is not None and (misfits := _misfits(given, mapped, start, seed)):
+        raise given.contradicted(footage, misfits)
     found = judged(mapped, footage)
     words = moving_cameras({one.name: own.moving for one, own in zip(footage, features, strict=True)})
     for number, one in enumerate(footage):
@@ -98,16 +96,17 @@ def _is_consistent(mapped: Mapped) -> bool:
     return mapped.score.explained >= _MIN_EXPLAINED
 
 
-def _without(given: Given, start: Matched, seed: int) -> dict[int, float]:
-    """Where nothing fits given lenses: focal lengths, px, of free ones that do, as far as they differ."""
+def _misfits(given: Given, mapped: Mapped | None, start: Matched, seed: int) -> Mapping[int, float]:
+    """Focal lengths, px, by which pictures contradict those given; where these leave cameras out, of free lenses."""
+    if mapped is not None and _is_consistent(mapped) and (mapped.misfits or len(mapped.cameras) == len(start.names)):
+        return mapped.misfits
     free = map_cameras(replace(start, given=None), seed, lambda: None)
     if free is None or not _is_consistent(free):
         return {}
     return {
         number: camera.fx
         for number, camera in free.cameras.items()
-        if abs(camera.fx / given.lenses[number].focal[0] - 1) > free.focal_errors[number]
-        and not given.fits(number, camera.fx)
+        if not given.fits(number, camera.fx, free.focal_errors[number] / CERTAIN)
     }
 
 

@@ -1,7 +1,8 @@
 """Cameras by structure from motion (pycolmap), from matches of their features.
 
 Several ways are tried: incremental and global mapping, with and without distortion; then the best one's lenses with
-more freedom. Which is best say matches that none was fitted to. Everything runs on one thread from one seed, so that
+more freedom, as far as points determine it. Which is best say matches that none was fitted to. Given lenses stay, and
+are held against free ones. Everything runs on one thread from one seed, so that
 the same pictures give the same bits on one machine.
 """
 
