@@ -16,7 +16,7 @@ from decogs.codec.lattice import Lattice, dequantise
 from decogs.codec.reconstruct import Reconstruction, reconstruct_frame
 from decogs.codec.state import State, part_of, same_scene
 from decogs.codec.syntax import payload_costs
-from decogs.formats.container import PacketKind
+from decogs.formats.container import Packet, PacketKind
 from decogs.formats.splats import Splats
 
 from .damage import Damage
@@ -101,6 +101,11 @@ class DecodedFrame:
     def refers_to_first(self) -> bool:
         """Whether this is a keyframe coded as the difference from the stream's first one."""
         return self._payload is not None and self._payload.refers_to_first
+
+    @property
+    def coded(self) -> Packet | None:
+        """Its packet as it is read from behind the corrections on; None when it is concealed."""
+        return None if self._payload is None else self._payload.body
 
     @property
     def costs(self) -> dict[str, int]:

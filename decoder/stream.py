@@ -156,10 +156,10 @@ class Stream:
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
         payload = split_payload(packet, self.header.corrected)
-        first = self._first_keyframe() if payload.refers_to_first else None
+        first = self.first_keyframe() if payload.refers_to_first else None
         return decode_frame(payload, before, self.header, first=first, max_gaussians=self._max_gaussians)
 
-    def _first_keyframe(self) -> State:
+    def first_keyframe(self) -> State:
         """The state that later keyframes refer to; kept from the first time it is asked for."""
         if self._first is None:
             packet = self._packet(0, self._packets())

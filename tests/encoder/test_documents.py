@@ -19,6 +19,7 @@ import pytest
 
 from board_videos import write_board_videos
 from decogs.decoder.commands import decode_main, export_main, info_main, view_main
+from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
@@ -44,6 +45,7 @@ DOCUMENTS = [
 MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-analyze": analyze_main,
     "decogs-calibrate": calibrate_main,
+    "decogs-edit": edit_main,
     "decogs-encode": encode_main,
     "decogs-decode": decode_main,
     "decogs-export": export_main,
