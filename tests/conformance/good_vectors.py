@@ -411,6 +411,31 @@ def good_subjects() -> Iterator[Vector]:
     yield opened(document={**example_header(), "subject": True}).good("good/subject")
 
 
+PRESENTATION = {"title": "The f\u00eate", "poster": 2**31 - 1, "first_view": "a"}
+"""Every member, at a bound where it has one."""
+
+ABSENT: dict[str, tuple[Any, ...]] = {
+    "title": ("x" * 65_537, 5, None, ["x"]),
+    "poster": (-1, 2**31, 1.0, True, "1"),
+    "first_view": ("b", "", ["a"]),
+}
+"""By member, values out of its bounds."""
+
+
+def good_presentations() -> Iterator[Vector]:
+    """A presentation changes no state, and what of it is out of bounds counts as absent."""
+    yield opened(document={**example_header(), "presentation": PRESENTATION}).good("good/presentation")
+    invented = {**PRESENTATION, "invented_later": {"x": 1}}
+    yield opened(document={**example_header(), "presentation": invented}).good("good/presentation-member-of-later")
+    for member, values in ABSENT.items():
+        for number, value in enumerate(values):
+            told = {**PRESENTATION, member: value}
+            stream = opened(document={**example_header(), "presentation": told})
+            yield stream.good(f"good/presentation-without-{member}-{number}")
+    for number, value in enumerate(([], None, "title")):
+        yield opened(document={**example_header(), "presentation": value}).good(f"good/presentation-none-{number}")
+
+
 def faults(first: int) -> dict[str, dict[str, int]]:
     """Numbers of `corrected_header`, counted up from the first."""
     return {

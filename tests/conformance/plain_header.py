@@ -14,11 +14,15 @@ from plain_container import COEFFICIENTS, CORRECTIONS, EFFECTS, refuse
 
 @dataclass(frozen=True)
 class Header:
-    """What decoding needs of the header packet: the number of SH coefficients, the lattice, corrected cameras."""
+    """What decoding needs of the header packet: the number of SH coefficients, the lattice, corrected cameras.
+
+    And how the stream wants to be shown, as far as that is within its bounds.
+    """
 
     coefficients: int
     lattice: dict[str, Any]
     corrected: dict[str, list[str]] = field(default_factory=dict)
+    presentation: dict[str, Any] = field(default_factory=dict)
 
     @property
     def channels(self) -> list[int]:
@@ -33,7 +37,23 @@ def read_header(payload: bytes) -> Header:
     check_header(header)
     if any(name not in EFFECTS for name in header["effects"]):
         refuse("unsupported-effect")
-    return Header((header["sh_degree"] + 1) ** 2, header["lattice"], header.get("corrected", {}))
+    return Header(
+        (header["sh_degree"] + 1) ** 2, header["lattice"], header.get("corrected", {}), presentation_of(header)
+    )
+
+
+def presentation_of(header: dict[str, Any]) -> dict[str, Any]:
+    """The members of the presentation that are within their bounds; the others count as absent."""
+    told = header.get("presentation")
+    if not isinstance(told, dict):
+        return {}
+    names = [camera["name"] for camera in header["cameras"]]
+    is_good = {
+        "title": lambda value: isinstance(value, str) and 0 < len(value) <= 65_536,
+        "poster": lambda value: is_integer(value, 0, 2**31 - 1),
+        "first_view": lambda value: isinstance(value, str) and value in names,
+    }
+    return {name: told[name] for name, good in is_good.items() if name in told and good(told[name])}
 
 
 def expect(condition: bool) -> None:
