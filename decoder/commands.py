@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import (
     Parser,
+    colour,
     counted,
     number,
     number_of_bytes,
@@ -102,7 +103,7 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--scale", type=number, default=1.0, metavar="S", help="scale of the picture size (default 1)")
     group.add_argument(
         "--background",
-        type=_colour,
+        type=colour,
         metavar="R,G,B",
         help="background colour, 0 to 1 each, or black, grey, white (default: the stream's; of a subject without a "
         "background, PNG, EXR and ProRes then have alpha)",
@@ -405,19 +406,3 @@ def _add_trust(parser: argparse._ActionsContainer, *, threads: bool = False) -> 
         metavar="SIZE",
         help="limit of memory for stream and pictures, such as 512M or 2G (default 4G)",
     )
-
-
-_COLOURS = {"black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "white": (1.0, 1.0, 1.0)}
-
-
-def _colour(text: str) -> tuple[float, float, float]:
-    if text in _COLOURS:
-        return _COLOURS[text]
-    try:
-        red, green, blue = (float(part) for part in text.split(","))
-    except ValueError:
-        known = ", ".join(_COLOURS)
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1, or one of {known}"
-        ) from None
-    return red, green, blue

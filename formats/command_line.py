@@ -342,6 +342,23 @@ def number_of_threads(text: str) -> int:
     return int(text)
 
 
+_COLOURS = {"black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "white": (1.0, 1.0, 1.0)}
+
+
+def colour(text: str) -> tuple[float, float, float]:
+    """An option's display-referred colour: red, green and blue, or a name; ArgumentTypeError for anything else."""
+    if text in _COLOURS:
+        return _COLOURS[text]
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        known = ", ".join(_COLOURS)
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1, or one of {known}"
+        ) from None
+    return red, green, blue
+
+
 def _say(line: str, code: int) -> int:
     print(printable(line), file=sys.stderr)
     return code

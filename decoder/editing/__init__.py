@@ -5,7 +5,11 @@
 
 from .editing import EditReport, edit
 from .operations.base import Operation
+from .operations.cameras import Cameras
+from .operations.concat import Concat
+from .operations.set import Set
+from .operations.strip import Strip
 from .operations.trim import Trim
 from .recipe import read_recipe
 
-__all__ = ["EditReport", "Operation", "Trim", "edit", "read_recipe"]
+__all__ = ["Cameras", "Concat", "EditReport", "Operation", "Set", "Strip", "Trim", "edit", "read_recipe"]

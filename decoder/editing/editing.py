@@ -7,12 +7,13 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.container import StreamWriter
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import GrowingFile, Output, check_outputs, errors_named, is_device
 
 from ..limits import DEFAULT_MAX_MEMORY
@@ -57,13 +58,15 @@ def edit(
         raise UsageError("no operation is given; decogs-edit --help lists them")
     target = Path(output) if isinstance(output, (str, os.PathLike)) else output
     with ExitStack() as opened:
+        numbers = count()
 
         def open_other(path: str | os.PathLike[str]) -> Take:
-            return opened.enter_context(open_take(path, max_memory=max_memory, on_warning=on_warning))
+            return opened.enter_context(open_take(path, next(numbers), max_memory=max_memory, on_warning=on_warning))
 
         take = open_other(stream)
         for operation in operations:
             take = operation.edit(take, open_other)
+            _check_header(operation, take)
         _check_files(target, operations, take)
         with _opened(target) as (file, publish):
             writer, frames = _written(take, file, on_frame)
@@ -80,6 +83,14 @@ def _written(take: Take, file: BinaryIO, on_frame: OnProgress | None) -> tuple[S
             on_frame(frames.frames, take.frame_count)
     writer.finish()
     return writer, frames
+
+
+def _check_header(operation: Operation, take: Take) -> None:
+    """Raises UsageError where what was asked for is out of a header's bounds."""
+    try:
+        take.header.to_bytes()
+    except StreamError as error:
+        raise UsageError(f"{operation.name}: {error}") from None
 
 
 def _check_files(target: Path | BinaryIO | None, operations: Sequence[Operation], take: Take) -> None:

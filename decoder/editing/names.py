@@ -12,6 +12,9 @@ import numpy as np
 from decogs.codec.morton import morton_order
 from decogs.codec.state import Rows, State, take_rows
 
+OWN_IDS = 1 << 52
+"""Below this are the ids of the stream that is edited; those of others are above, and get new ones."""
+
 _MAX_GAP = 1 << 35
 """Between two ids that a keyframe can list (SPEC.md, "Varint")."""
 
@@ -33,12 +36,15 @@ class Names:
         new = np.flatnonzero(ids < 0)
         own = state.ids[new]
         kept = np.where(ids < 0, state.ids, ids)
-        if is_key and (own >= self.next_id).all() and _can_be_listed(np.sort(kept) if lists_all else own):
+        are_free = bool(((own >= self.next_id) & (own < OWN_IDS)).all())
+        if is_key and are_free and _can_be_listed(np.sort(kept) if lists_all else own):
             ids = kept
-            self.next_id = max(self.next_id, state.next_id)
+            # Where another take's Gaussians are in the frame, its next id is theirs.
+            own_next = state.next_id if state.next_id <= OWN_IDS else int(kept.max(initial=-1)) + 1
+            self.next_id = max(self.next_id, own_next)
         else:
-            # As a delta orders what it adds; what is in that order stays in it.
-            order = morton_order(take_rows(state, new).means)
+            # As a delta orders what it adds; the packets behind a keyframe can stay where its rows do.
+            order = np.arange(len(new)) if is_key else morton_order(take_rows(state, new).means)
             ids[new[order]] = self.next_id + np.arange(len(new))
             self.next_id += len(new)
         begins = is_key and not len(self._first[0])

@@ -10,15 +10,16 @@ from pathlib import Path
 
 from decogs.codec.corrections import Corrections
 from decogs.codec.header import StreamHeader
-from decogs.codec.state import State
+from decogs.codec.state import State, same_scene
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet, PacketKind
-from decogs.formats.errors import StreamError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
 
 from ..frame import DecodedFrame
 from ..frame_choice import open_chosen
 from ..stream import Stream
+from .names import OWN_IDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,7 @@ class Coded:
 class Frame:
     """One frame: its scene, under the ids that its source gave, and what cameras did to their pictures.
 
+    No two takes of an edit have an id in common; hashes of the state need not fit its ids.
     ``is_key``: a segment begins here. ``coded``: a packet that may lead here, which saves coding another one.
     """
 
@@ -75,35 +77,75 @@ class Take:
         """The same take with one more line to say."""
         return replace(self, notes=(*self.notes, (lambda: note) if isinstance(note, str) else note))
 
+    def each_scene(self, edit: Callable[[State], State]) -> Take:
+        """The take with the scene of every frame edited by itself; one that did not change is edited once."""
+
+        def read(start: int, stop: int) -> Iterator[Frame]:
+            before = after = None
+            for frame in self.read(start, stop):
+                if before is None or after is None or not same_scene(before, frame.state):
+                    after = edit(frame.state)
+                before = frame.state
+                yield frame.of(after)
+
+        return replace(self, read=read)
+
     def each(self, edit: Callable[[Frame], Frame]) -> Take:
         """The take with every frame edited by itself."""
         return replace(self, read=lambda start, stop: map(edit, self.read(start, stop)))
 
 
+_OF_THE_ENCODE = ("part", "recorded")
+"""Settings from which an encode would go on (``encoder.parts``, ``encoder.input.recordings``), which no edit is."""
+
+
 @contextmanager
-def open_take(path: str | os.PathLike[str], *, max_memory: int, on_warning: OnWarning | None) -> Iterator[Take]:
-    """A stream as a take. Reading a frame that is damaged raises StreamError; frames that are not read may be.
+def open_take(
+    path: str | os.PathLike[str], number: int, *, max_memory: int, on_warning: OnWarning | None
+) -> Iterator[Take]:
+    """A stream as the take of this ``number``, from 0. Reading a frame that is damaged raises StreamError.
 
     Raises StreamError, OSError, and UsageError for a stream without a frame.
     """
     with open_chosen(path, None, strict=False, max_memory=max_memory, on_warning=on_warning) as (stream, every):
-        yield Take(stream.header, len(every), lambda start, stop: _frames(stream, start, stop), (Path(path),))
+        settings = {name: value for name, value in stream.header.settings.items() if name not in _OF_THE_ENCODE}
+        source = _Source(stream, number * OWN_IDS)
+        yield Take(replace(stream.header, settings=settings), len(every), source.read, (Path(path),))
 
 
-def _frames(stream: Stream, start: int, stop: int) -> Iterator[Frame]:
-    before: State | None = None
-    for frame in stream.frames(start, stop):
-        yield Frame(frame.state, frame.corrections, frame.kind == PacketKind.KEY, _coded(stream, frame, before))
-        before = frame.state
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """A stream whose ids are counted from a place of their own, that of no other stream of the edit."""
 
+    stream: Stream
+    first_id: int
 
-def _coded(stream: Stream, frame: DecodedFrame, before: State | None) -> Coded | None:
-    """None where the frame before was not read."""
-    if frame.coded is None:
-        raise StreamError(
-            Reason.MISSING_KEY,
-            f"{stream.path}: frame {frame.index} is damaged ({frame.concealed}); `trim` to frames that are not",
-        )
-    if frame.kind == PacketKind.KEY:
-        return Coded(frame.coded, None, frame.state, stream.first_keyframe() if frame.refers_to_first else None)
-    return None if before is None else Coded(frame.coded, before, frame.state, None)
+    def read(self, start: int, stop: int) -> Iterator[Frame]:
+        was: DecodedFrame | None = None
+        before: State | None = None
+        for frame in self.stream.frames(start, stop):
+            same_ids = before if was is not None and was.state.ids is frame.state.ids else None
+            after = self._placed(frame.state, same_ids)
+            is_key = frame.kind == PacketKind.KEY
+            yield Frame(after, frame.corrections, is_key, self._coded(frame, None if is_key else before, after))
+            was, before = frame, after
+
+    def _placed(self, state: State, same_ids: State | None = None) -> State:
+        if not self.first_id:
+            return state
+        if state.next_id > OWN_IDS:
+            raise UsageError(f"{self.stream.path}: has ids above 2^52, which do not go with another take's")
+        ids = state.ids + self.first_id if same_ids is None else same_ids.ids
+        return replace(state, ids=ids, next_id=state.next_id + self.first_id)
+
+    def _coded(self, frame: DecodedFrame, before: State | None, after: State) -> Coded | None:
+        """None for a delta from a frame that was not read."""
+        if frame.coded is None:
+            raise StreamError(
+                Reason.MISSING_KEY,
+                f"{self.stream.path}: frame {frame.index} is damaged ({frame.concealed}); trim it away",
+            )
+        if frame.kind != PacketKind.KEY and before is None:
+            return None
+        first = self._placed(self.stream.first_keyframe()) if frame.refers_to_first else None
+        return Coded(frame.coded, before, after, first)

@@ -6,7 +6,13 @@ A new one is a file with a subclass of ``Operation``, and a line here.
 from __future__ import annotations
 
 from .base import Operation
+from .cameras import Cameras
+from .concat import Concat
+from .set import Set
+from .strip import Strip
 from .trim import Trim
 
-OPERATIONS: dict[str, type[Operation]] = {operation.name: operation for operation in (Trim,)}
+_ALL: tuple[type[Operation], ...] = (Trim, Concat, Cameras, Set, Strip)
+
+OPERATIONS = {operation.name: operation for operation in _ALL}
 """By name, in the order in which they are listed."""

@@ -6,7 +6,6 @@ import gc
 import io
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from decogs.codec.state import State
@@ -16,27 +15,8 @@ from decogs.decoder.editing.recipe import parse_operations
 from decogs.decoder.stream import open_stream
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import DecogsError, StreamError, UsageError
+from edited_streams import assert_same_scenes, bodies, states_of
 from packets import iterate_packets
-
-ARRAYS = ("ids", "means", "log_scales", "quaternions", "opacity_logits", "sh")
-
-
-def states_of(path: Path) -> list[State]:
-    with open_stream(path, strict=True) as stream:
-        return [frame.state for frame in stream.frames()]
-
-
-def assert_same_scenes(found: list[State], expected: list[State]) -> None:
-    assert len(found) == len(expected)
-    for one, other in zip(found, expected, strict=True):
-        assert one.next_id == other.next_id
-        for name in ARRAYS:
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
-def bodies(path: Path) -> list[tuple[int, bytes]]:
-    with path.open("rb") as file:
-        return [(packet.kind, packet.payload) for packet in iterate_packets(file) if packet.kind in (2, 3, 4)]
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 8), (0, 3), (1, 8), (2, 6), (3, 4), (4, 8), (5, 7), (7, 8)])
