@@ -90,6 +90,11 @@ class Stream:
         return self._survey.frame_count
 
     @property
+    def keyframes(self) -> tuple[int, ...]:
+        """The frames at which segments begin, as far as they are not lost."""
+        return tuple(entry.frame for entry in self._survey.entries if entry.kind == PacketKind.KEY)
+
+    @property
     def file_bytes(self) -> int:
         """Bytes of the file as it is on disk."""
         return os.fstat(self._file.fileno()).st_size

@@ -39,6 +39,15 @@ def assert_same_values(found: list[State], expected: list[State]) -> None:
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
+def in_order_of_values(state: State) -> list[tuple[bytes, int]]:
+    """Every Gaussian's values, which in these streams no other one has, and its id."""
+    columns = [getattr(state, name).reshape(len(state), -1).astype("<i4") for name in ARRAYS]
+    rows = np.concatenate(columns, axis=1)
+    found = sorted((row.tobytes(), int(name)) for row, name in zip(rows, state.ids, strict=True))
+    assert len({values for values, _ in found}) == len(found)
+    return found
+
+
 def bodies(path: Path) -> list[tuple[int, bytes]]:
     """Kind and payload of every frame's packet."""
     kinds = (PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP)

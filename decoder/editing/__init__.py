@@ -7,9 +7,26 @@ from .editing import EditReport, edit
 from .operations.base import Operation
 from .operations.cameras import Cameras
 from .operations.concat import Concat
+from .operations.crop import Crop
 from .operations.set import Set
 from .operations.strip import Strip
 from .operations.trim import Trim
 from .recipe import read_recipe
+from .regions import Box, Polygon, Region, Sphere
 
-__all__ = ["Cameras", "Concat", "EditReport", "Operation", "Set", "Strip", "Trim", "edit", "read_recipe"]
+__all__ = [
+    "Box",
+    "Cameras",
+    "Concat",
+    "Crop",
+    "EditReport",
+    "Operation",
+    "Polygon",
+    "Region",
+    "Set",
+    "Sphere",
+    "Strip",
+    "Trim",
+    "edit",
+    "read_recipe",
+]

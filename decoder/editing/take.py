@@ -64,12 +64,14 @@ Note = Callable[[], str]
 class Take:
     """``frame_count`` frames, which ``read`` reads as often as it is called; ``header`` describes them as written.
 
-    ``sources``: the files that are read on the way. ``notes``: what the operations so far have to say.
+    ``starts``: the frames at which segments begin, of which 0 is the first. ``sources``: the files that are read on the
+    way. ``notes``: what the operations so far have to say.
     """
 
     header: StreamHeader
     frame_count: int
     read: Read
+    starts: tuple[int, ...] = (0,)
     sources: tuple[Path, ...] = ()
     notes: tuple[Note, ...] = ()
 
@@ -110,7 +112,7 @@ def open_take(
     with open_chosen(path, None, strict=False, max_memory=max_memory, on_warning=on_warning) as (stream, every):
         settings = {name: value for name, value in stream.header.settings.items() if name not in _OF_THE_ENCODE}
         source = _Source(stream, number * OWN_IDS)
-        yield Take(replace(stream.header, settings=settings), len(every), source.read, (Path(path),))
+        yield Take(replace(stream.header, settings=settings), len(every), source.read, stream.keyframes, (Path(path),))
 
 
 @dataclass(frozen=True, eq=False)

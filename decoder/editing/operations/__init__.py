@@ -8,11 +8,12 @@ from __future__ import annotations
 from .base import Operation
 from .cameras import Cameras
 from .concat import Concat
+from .crop import Crop
 from .set import Set
 from .strip import Strip
 from .trim import Trim
 
-_ALL: tuple[type[Operation], ...] = (Trim, Concat, Cameras, Set, Strip)
+_ALL: tuple[type[Operation], ...] = (Trim, Concat, Crop, Cameras, Set, Strip)
 
 OPERATIONS = {operation.name: operation for operation in _ALL}
 """By name, in the order in which they are listed."""

@@ -58,4 +58,5 @@ def _joined(header: StreamHeader, first: Take, second: Take) -> Take:
             for number, frame in enumerate(behind, start=max(start, begins)):
                 yield replace(frame, is_key=True) if number == begins else frame
 
-    return replace(first, header=header, frame_count=whole, read=read)
+    starts = (*first.starts, *(begins + start for start in second.starts))
+    return replace(first, header=header, frame_count=whole, read=read, starts=starts)

@@ -35,7 +35,11 @@ class Trim(Operation):
             )
         header = replace(take.header, first_frame=take.header.first_frame + start)
         trimmed = replace(
-            take, header=header, frame_count=stop - start, read=lambda a, b: take.read(start + a, start + b)
+            take,
+            header=header,
+            frame_count=stop - start,
+            read=lambda a, b: take.read(start + a, start + b),
+            starts=(0, *(key - start for key in take.starts if start < key < stop)),
         )
         return trimmed.with_note(f"trim: frames {start}:{stop} of {take.frame_count}")
 
