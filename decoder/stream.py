@@ -6,6 +6,7 @@ import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -26,6 +27,7 @@ from decogs.formats.container import (
 )
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
+from decogs.formats.similarity import transformed_camera
 from decogs.formats.survey import Survey, search, survey
 
 from .damage import Concealment, Damage, OnDamage, errors_name
@@ -37,7 +39,8 @@ from .limits import DEFAULT_MAX_MEMORY, frames_within, gaussians_within, limits_
 class Stream:
     """An open .dgs file; a context manager. Build one with ``open_stream``.
 
-    ``header`` is the stream's header, ``version`` (major, minor) its bitstream's; ``complete``: whether the stream
+    ``header`` is the stream's header, its cameras where they are shown (SPEC.md, "Presentation"), ``stored_header`` the
+    same as it is written; ``version`` (major, minor) its bitstream's; ``complete``: whether the stream
     was finished, ``unfinished_bytes`` how much of an incomplete packet lies at its tail. Iterators of ``frames`` are
     independent of each other.
     """
@@ -63,7 +66,8 @@ class Stream:
                     f"{path}: cannot be seeked, as a pipe; decode it with - for stdin, or write it to a file first"
                 )
             reader = self._reader(0)
-            self.header = read_header(reader.next(), reader.offset)
+            self.stored_header = read_header(reader.next(), reader.offset)
+            self.header = in_its_world(self.stored_header)
             self.version = reader.version
             self._survey = self._surveyed()
             self._scanned: Survey | None = None
@@ -294,3 +298,11 @@ def read_header(packet: Packet | None, offset: int) -> StreamHeader:
     if packet is None:
         raise StreamError(Reason.TRUNCATED, "the stream stops before its header is complete", offset=offset)
     return StreamHeader.from_bytes(packet.payload)
+
+
+def in_its_world(header: StreamHeader) -> StreamHeader:
+    """The header with its cameras where its transform takes them; the very object where it has none."""
+    transform = header.presentation.similarity
+    if transform.is_identity:
+        return header
+    return replace(header, cameras=tuple(transformed_camera(camera, transform) for camera in header.cameras))

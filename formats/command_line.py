@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import errno
 import io
+import math
 import os
 import re
 import signal
@@ -326,6 +327,15 @@ def number(text: str) -> float:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"{text!r} is no number")
+
+
+def vector(text: str) -> tuple[float, float, float]:
+    """An option's three finite numbers with commas between; ArgumentTypeError for anything else."""
+    parts = text.split(",")
+    if len(parts) != 3 or not all(math.isfinite(number(part)) for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is no vector; write X,Y,Z, such as 0,1.5,-2")
+    x, y, z = map(number, parts)
+    return x, y, z
 
 
 def whole_number(text: str) -> int:

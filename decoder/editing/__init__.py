@@ -10,6 +10,7 @@ from .operations.concat import Concat
 from .operations.crop import Crop
 from .operations.set import Set
 from .operations.strip import Strip
+from .operations.transform import Transform
 from .operations.trim import Trim
 from .recipe import read_recipe
 from .regions import Box, Polygon, Region, Sphere
@@ -26,6 +27,7 @@ __all__ = [
     "Set",
     "Sphere",
     "Strip",
+    "Transform",
     "Trim",
     "edit",
     "read_recipe",

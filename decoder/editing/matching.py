@@ -10,10 +10,11 @@ import numpy as np
 from decogs.codec.corrections import CorrectedCameras
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import Lattice, in_steps, nearest_points
+from decogs.codec.lattice import Lattice, dequantise, in_steps, nearest_points, quantise
 from decogs.codec.state import ARRAYS, Attributes, State, all_rows
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
+from decogs.formats.similarity import NO_CHANGE, Similarity, transformed_camera, transformed_splats
 from decogs.formats.splats import Splats
 
 from .cameras import renamed_corrections, with_cameras, with_effects_of
@@ -31,11 +32,11 @@ class Matched:
 
 
 def matched(operation: str, first: Take, second: Take) -> Matched:
-    """Both takes under the first one's header, with the cameras of both.
+    """Both takes under the first one's header, with the cameras of both, in the world in which each is shown.
 
-    Values of the second are rounded to the first one's lattice where it has another. A camera that both have is one; a
-    name that means two cameras gets a number in the second. Raises UsageError where a subject without a background
-    meets a whole scene, and where frame rates differ.
+    Values of the second are rounded to the first one's lattice where it has another, or another transform. A camera
+    that both have is one; a name that means two cameras gets a number in the second. Raises UsageError where a subject
+    without a background meets a whole scene, and where frame rates differ.
     """
     one, other = first.header, second.header
     if one.subject != other.subject:
@@ -47,18 +48,24 @@ def matched(operation: str, first: Take, second: Take) -> Matched:
             f"{operation}: one has {one.fps:g} frames a second, the other {other.fps:g}; `retime` one first"
         )
     degree = max(one.sh_degree, other.sh_degree)
+    place = NO_CHANGE
+    if one.presentation.transform != other.presentation.transform:
+        place = one.presentation.similarity.inverse.after(other.presentation.similarity)
+        other = replace(other, cameras=tuple(transformed_camera(camera, place) for camera in other.cameras))
     header = _common(one, other := _with_own_names(one, other))
     names = {was.name: now.name for was, now in zip(second.header.cameras, other.cameras, strict=True)}
     taken = second.each(lambda frame: replace(frame, corrections=renamed_corrections(frame.corrections, names.get)))
-    rounded = _rounded(other.lattice, one.lattice)
-    if rounded:
+    changed = _rounded(other.lattice, one.lattice)
+    if not place.is_identity:
+        taken = taken.each_scene(lambda state: _placed(state, other.lattice, one.lattice, place))
+    elif changed:
         taken = taken.each_scene(lambda state: requantised(state, other.lattice, one.lattice))
     sources = (*first.sources, *second.sources)
     return Matched(
         replace(header, sh_degree=degree),
         replace(_of_degree(first, degree), sources=sources),
         _of_degree(taken, degree),
-        f"{', '.join(rounded)} rounded to the lattice of the first" if rounded else "",
+        _cost(changed, place),
     )
 
 
@@ -67,7 +74,7 @@ def requantised(state: State, was: Lattice, lattice: Lattice) -> State:
 
     Each row by itself, so that one which does not change goes on not changing.
     """
-    old, numbers = all_rows(state), all_rows(state)
+    old = all_rows(state)
     sh = old.sh * np.float64(was.sh_rest)
     sh[:, :1] = old.sh[:, :1] * np.float64(was.sh_dc)
     values = Splats(
@@ -81,6 +88,18 @@ def requantised(state: State, was: Lattice, lattice: Lattice) -> State:
     other = _rounded(was, lattice)
     numbers = Attributes(**{name: getattr(points if name in other else old, name) for name in ARRAYS})
     return new_state(numbers, state.frame, ids=state.ids, next_id=state.next_id)
+
+
+def _placed(state: State, was: Lattice, lattice: Lattice, place: Similarity) -> State:
+    """The nearest points of a scene that was brought elsewhere."""
+    points = quantise(transformed_splats(dequantise(state, was), place), lattice)
+    return new_state(points, state.frame, ids=state.ids, next_id=state.next_id)
+
+
+def _cost(changed: list[str], place: Similarity) -> str:
+    if not place.is_identity:
+        return "brought to where its transform says, rounded to the lattice of the first"
+    return f"{', '.join(changed)} rounded to the lattice of the first" if changed else ""
 
 
 def _rounded(was: Lattice, lattice: Lattice) -> list[str]:

@@ -110,9 +110,11 @@ def open_take(
     Raises StreamError, OSError, and UsageError for a stream without a frame.
     """
     with open_chosen(path, None, strict=False, max_memory=max_memory, on_warning=on_warning) as (stream, every):
-        settings = {name: value for name, value in stream.header.settings.items() if name not in _OF_THE_ENCODE}
+        settings = {name: value for name, value in stream.stored_header.settings.items() if name not in _OF_THE_ENCODE}
         source = _Source(stream, number * OWN_IDS)
-        yield Take(replace(stream.header, settings=settings), len(every), source.read, stream.keyframes, (Path(path),))
+        yield Take(
+            replace(stream.stored_header, settings=settings), len(every), source.read, stream.keyframes, (Path(path),)
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,7 @@ def test_a_subject_says_so_and_a_whole_scene_says_nothing() -> None:
     assert b"subject" not in FULL.to_bytes()
 
 
-SHOWN = Presentation(title="Zwei Tänzer", poster=3, first_view="wide")
+SHOWN = Presentation("Zwei Tänzer", 3, "wide", ((0, 0, 2.5, 1), (2.5, 0, 0, -3), (0, 2.5, 0, 1 / 3)))
 
 
 def test_a_presentation_comes_back_and_costs_nothing_where_there_is_none() -> None:
@@ -90,6 +90,9 @@ def test_a_presentation_comes_back_and_costs_nothing_where_there_is_none() -> No
         *(("title", value) for value in ("x" * 65_537, 5, None, ["x"])),
         *(("poster", value) for value in (-1, 1 << 31, 1.0, True, "1")),
         *(("first_view", value) for value in ("nobody", "", 1, ["wide"])),
+        ("transform", [[1, 0, 0, 0], [0, 1, 0, 0]]),
+        ("transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]]),
+        ("transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2e12]]),
     ],
 )
 def test_what_is_out_of_bounds_in_a_presentation_counts_as_absent(name: str, value: object) -> None:

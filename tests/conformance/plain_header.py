@@ -52,8 +52,16 @@ def presentation_of(header: dict[str, Any]) -> dict[str, Any]:
         "title": lambda value: isinstance(value, str) and 0 < len(value) <= 65_536,
         "poster": lambda value: is_integer(value, 0, 2**31 - 1),
         "first_view": lambda value: isinstance(value, str) and value in names,
+        "transform": is_transform,
     }
     return {name: told[name] for name, good in is_good.items() if name in told and good(told[name])}
+
+
+def is_transform(value: Any) -> bool:
+    if not (isinstance(value, list) and len(value) == 3 and all(is_vector(row, 4, -1e12, 1e12) for row in value)):
+        return False
+    scale = math.copysign(abs(determinant(value)) ** (1 / 3), determinant(value))
+    return 1e-6 <= scale <= 1e6 and is_rotation([[number / scale for number in row[:3]] for row in value])
 
 
 def expect(condition: bool) -> None:
@@ -190,20 +198,25 @@ def check_camera(camera: Any) -> None:
     expect(len(distortion) in COEFFICIENTS[model] and is_vector(distortion, len(distortion), -1e6, 1e6))
     rows = camera["world_to_camera"]
     expect(isinstance(rows, list) and len(rows) == 3 and all(is_vector(row, 4, -1e12, 1e12) for row in rows))
-    check_rotation([row[:3] for row in rows])
+    expect(is_rotation([row[:3] for row in rows]))
     expect(is_number(camera.get("near", 0), 0, 1e12))
     colours = camera.get("colours", [0, 0, 0])
     expect(isinstance(colours, list) and len(colours) == 3)
     expect(all(is_integer(number, -32_767, 32_767) for number in colours))
 
 
-def check_rotation(r: list[list[float]]) -> None:
+def is_rotation(r: list[list[float]]) -> bool:
     for i in range(3):
         for j in range(3):
             product = sum(r[i][axis] * r[j][axis] for axis in range(3))
-            expect(abs(product - (i == j)) <= 0.01)
+            if not abs(product - (i == j)) <= 0.01:
+                return False
+    return determinant(r) > 0
+
+
+def determinant(r: list[list[float]]) -> float:
     minors = [r[1][(a + 1) % 3] * r[2][(a + 2) % 3] - r[1][(a + 2) % 3] * r[2][(a + 1) % 3] for a in range(3)]
-    expect(sum(r[0][axis] * minors[axis] for axis in range(3)) > 0)
+    return sum(r[0][axis] * minors[axis] for axis in range(3))
 
 
 def check_lattice(lattice: Any) -> None:

@@ -28,6 +28,7 @@ from decogs.codec.frame_payload import split_payload
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state, new_state
 from decogs.codec.lattice import default_lattice
+from decogs.codec.presentation import Presentation
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import Attributes, State, all_rows, take_rows
 from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
@@ -97,6 +98,11 @@ def header(sh_degree: int, corrected: CorrectedCameras | None = None) -> StreamH
         effects=corrected.effects,
         corrected=corrected,
     )
+
+
+def _shown_header() -> StreamHeader:
+    placed = ((0.0, 0.0, 2.0, 1.0), (2.0, 0.0, 0.0, -3.0), (0.0, 2.0, 0.0, 0.5))
+    return replace(header(0), presentation=Presentation("a title", 3, "a", placed))
 
 
 def _stream(*, count: int, sh_degree: int, finished: bool, corrected: CorrectedCameras | None = None) -> bytes:
@@ -398,7 +404,7 @@ def parsers() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
     ]
     return {
         "container": (try_container, seed_streams()),
-        "header": (try_header, [header(0).to_bytes(), header(1, _CORRECTED).to_bytes()]),
+        "header": (try_header, [header(0).to_bytes(), header(1, _CORRECTED).to_bytes(), _shown_header().to_bytes()]),
         "payload": (try_payload, payloads),
     }
 

@@ -11,9 +11,10 @@ from .concat import Concat
 from .crop import Crop
 from .set import Set
 from .strip import Strip
+from .transform import Transform
 from .trim import Trim
 
-_ALL: tuple[type[Operation], ...] = (Trim, Concat, Crop, Cameras, Set, Strip)
+_ALL: tuple[type[Operation], ...] = (Trim, Concat, Crop, Transform, Cameras, Set, Strip)
 
 OPERATIONS = {operation.name: operation for operation in _ALL}
 """By name, in the order in which they are listed."""

@@ -11,9 +11,11 @@ from decogs.formats.cameras import Camera
 from decogs.formats.command_line import Parser
 from decogs.formats.errors import UsageError
 from decogs.formats.length_units import metres_of
+from decogs.formats.similarity import transformed_camera
 
 from ...camera_files import camera_file, read_camera_file
 from ...camera_path import ToFilm
+from ...stream import in_its_world
 from ..cameras import check_names, renamed_corrections, with_cameras
 from ..take import Take
 from .base import Opener, Operation
@@ -80,10 +82,13 @@ class Cameras(Operation):
 
 
 def _cameras_of(file: str, take: Take) -> list[Camera]:
-    header = take.header
+    header = in_its_world(take.header)
     film = ToFilm(header.cameras, header.fps, take.frame_count, metres_of(header.units) or 1.0)
     path, named = camera_file(file)
-    called, found = named or Path(path).stem, read_camera_file(file, film).cameras
+    # A file has them in the world; a header has them where the scene is stored.
+    back = header.presentation.similarity.inverse
+    called = named or Path(path).stem
+    found = [transformed_camera(camera, back) for camera in read_camera_file(file, film).cameras]
     if len(found) > MAX_CAMERAS:
         raise UsageError(f"{file}: has {len(found)} cameras, and a stream at most {MAX_CAMERAS}; add fewer")
     if len(found) == 1:

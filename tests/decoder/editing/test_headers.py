@@ -73,7 +73,7 @@ def test_set_changes_what_it_names_and_no_packet(small_stream) -> None:
     asked = Set("A title", "mine", "a room", 3, "wide", (1.0, 0.5, 0.0), (("", 0.5), ("cam01", 0.25)))
     out = edited(small_stream.path, asked)
     header, before = header_of(out), header_of(small_stream.path)
-    assert vars(header.presentation) == {"title": "A title", "poster": 3, "first_view": "wide"}
+    assert header.presentation.as_document() == {"title": "A title", "poster": 3, "first_view": "wide"}
     assert (header.licence, header.source_text, header.background) == ("mine", "a room", (1.0, 0.5, 0.0))
     assert header.near_planes == {"cam00": 0.5, "cam01": 0.25, "wide": 0.5}
     assert (header.lattice, header.settings, header.effects) == (before.lattice, before.settings, before.effects)
@@ -84,7 +84,7 @@ def test_set_leaves_what_it_does_not_name(small_stream) -> None:
     once = edited(small_stream.path, Set(title="one", poster=0))
     again = once.with_name("again.dgs")
     edit(once, again, [Set(first_view="cam00")])
-    assert vars(header_of(again).presentation) == {"title": "one", "poster": 0, "first_view": "cam00"}
+    assert header_of(again).presentation.as_document() == {"title": "one", "poster": 0, "first_view": "cam00"}
     edit(again, once, [Set(title="")])
     assert header_of(once).presentation.title == ""
 
