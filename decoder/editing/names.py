@@ -26,10 +26,12 @@ class Names:
         self._known = self._first = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self.next_id = 0
 
-    def of(self, state: State, *, is_key: bool, lists_all: bool) -> Rows:
+    def of(self, state: State, *, is_key: bool, lists_all: bool, is_changed: bool) -> Rows:
         """The output's ids (N,) of a frame's rows; those of a keyframe that are new keep theirs where that can be.
 
         ``lists_all``: whether the keyframe may have to list all its ids, not only those that the first one has not.
+        ``is_changed``: no packet that was read leads to this scene. A first keyframe is then put in Morton order, which
+        is smaller and which it may have lost; no packet behind it could stay anyway.
         """
         known = _joined(self._known, self._first) if is_key else self._known
         ids = _looked_up(known, state.ids)
@@ -37,17 +39,18 @@ class Names:
         own = state.ids[new]
         kept = np.where(ids < 0, state.ids, ids)
         are_free = bool(((own >= self.next_id) & (own < OWN_IDS)).all())
-        if is_key and are_free and _can_be_listed(np.sort(kept) if lists_all else own):
+        begins = is_key and not len(self._first[0])
+        anew = begins and is_changed
+        if is_key and not anew and are_free and _can_be_listed(np.sort(kept) if lists_all else own):
             ids = kept
             # Where another take's Gaussians are in the frame, its next id is theirs.
             own_next = state.next_id if state.next_id <= OWN_IDS else int(kept.max(initial=-1)) + 1
             self.next_id = max(self.next_id, own_next)
         else:
             # As a delta orders what it adds; the packets behind a keyframe can stay where its rows do.
-            order = np.arange(len(new)) if is_key else morton_order(take_rows(state, new).means)
+            order = np.arange(len(new)) if is_key and not anew else morton_order(take_rows(state, new).means)
             ids[new[order]] = self.next_id + np.arange(len(new))
             self.next_id += len(new)
-        begins = is_key and not len(self._first[0])
         self._known = (state.ids, ids)
         if begins:
             self._first = self._known

@@ -7,7 +7,7 @@ such operations behind each other read the take once more each, and not twice as
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -17,24 +17,25 @@ from decogs.codec.state import Rows, State, same_scene
 
 from .take import Frame, Take
 
-Choice = Callable[[State], NDArray[np.bool_]]
-"""Which Gaussians (N,) of a scene are chosen."""
+Choices = Callable[[State], Sequence[NDArray[np.bool_]]]
+"""Which Gaussians (N,) of a scene are chosen, for each of several reasons."""
 
 
-def with_choice(take: Take, choose: Choice) -> Callable[[int, int], Iterator[tuple[Frame, Rows]]]:
-    """Reads frames, each with the ids that are chosen in any frame of its segment, rising."""
+def with_choices(take: Take, choose: Choices) -> Callable[[int, int], Iterator[tuple[Frame, tuple[Rows, ...]]]]:
+    """Reads frames, each with the ids that are chosen in any frame of its segment, rising, for each reason."""
 
     @lru_cache(maxsize=2)
-    def chosen(start: int, stop: int) -> Rows:
-        ids = np.zeros(0, np.int64)
+    def chosen(start: int, stop: int) -> tuple[Rows, ...]:
+        found: list[Rows] = []
         before: State | None = None
         for frame in take.read(start, stop):
             if before is None or not same_scene(before, frame.state):
-                ids = np.union1d(ids, frame.state.ids[choose(frame.state)])
+                here = [frame.state.ids[rows] for rows in choose(frame.state)]
+                found = [np.union1d(*both) for both in zip(found, here, strict=True)] if found else here
             before = frame.state
-        return ids
+        return tuple(found)
 
-    def read(start: int, stop: int) -> Iterator[tuple[Frame, Rows]]:
+    def read(start: int, stop: int) -> Iterator[tuple[Frame, tuple[Rows, ...]]]:
         while start < stop:
             segment = segment_of(take, start)
             ids, end = chosen(segment.start, segment.stop), min(stop, segment.stop)
@@ -49,3 +50,8 @@ def segment_of(take: Take, frame: int) -> range:
     """The frames of the segment in which a frame lies."""
     place = bisect_right(take.starts, frame)
     return range(take.starts[place - 1], take.starts[place] if place < len(take.starts) else take.frame_count)
+
+
+def rows_among(state: State, ids: Rows) -> NDArray[np.bool_]:
+    """Which of a scene's Gaussians (N,) have one of these ids."""
+    return np.isin(state.ids, ids, assume_unique=True)

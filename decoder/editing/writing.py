@@ -45,7 +45,12 @@ class FrameWriter:
     def write(self, frame: Frame) -> None:
         """Appends a frame; the first one is a keyframe whatever it was. Raises StreamError for what no packet holds."""
         is_key = frame.is_key or self._state is None
-        ids = self._names.of(frame.state, is_key=is_key, lists_all=not self._refers_as_before(frame))
+        ids = self._names.of(
+            frame.state,
+            is_key=is_key,
+            lists_all=not self._refers_as_before(frame),
+            is_changed=frame.coded is not None and not same_scene(frame.coded.after, frame.state),
+        )
         in_order = bool((ids[1:] > ids[:-1]).all())
         after = _named(frame.state, ids, self._names.next_id, in_order, self.frames)
         body = self._as_it_was(frame, after, is_key) if in_order else None

@@ -18,7 +18,7 @@ from decogs.formats.splats import logit, sigmoid
 
 from ..regions import REGION_HELP, Region, region_of
 from ..scene import positions
-from ..segments import with_choice
+from ..segments import rows_among, with_choices
 from ..take import Frame, Take
 from .base import Opener, Operation
 
@@ -45,14 +45,14 @@ class Crop(Operation):
         if not (np.isfinite(self.fade) and self.fade >= 0):
             raise UsageError(f"crop: a fade of {self.fade:g} is not possible; give world units, above 0")
         header = take.header
-        chosen = with_choice(take, lambda state: self._depth(header, state) >= -self.fade)
+        chosen = with_choices(take, lambda state: [self._depth(header, state) >= -self.fade])
         seen: list[tuple[int, int]] = []
 
         def read(start: int, stop: int) -> Iterator[Frame]:
             before: Frame | None = None
             after: State | None = None
             count = 0
-            for frame, ids in chosen(start, stop):
+            for frame, (ids,) in chosen(start, stop):
                 if before is None or after is None or frame.is_key or not same_scene(before.state, frame.state):
                     after = self._cropped(header, frame.state, ids)
                 before, count = frame, count + len(after)
@@ -84,7 +84,7 @@ class Crop(Operation):
         return -depth if self.outside else depth
 
     def _cropped(self, header: StreamHeader, state: State, ids: Rows) -> State:
-        stays = np.isin(state.ids, ids, assume_unique=True)
+        stays = rows_among(state, ids)
         state = state if stays.all() else part_of(state, stays)
         if not self.fade:
             return state
