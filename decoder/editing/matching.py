@@ -10,10 +10,10 @@ import numpy as np
 from decogs.codec.corrections import CorrectedCameras
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import Lattice, dequantise, in_steps, nearest_points, quantise
+from decogs.codec.lattice import Lattice, dequantise, quantise
 from decogs.codec.state import ARRAYS, Attributes, State, all_rows
 from decogs.formats.cameras import Camera
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.similarity import NO_CHANGE, Similarity, transformed_camera, transformed_splats
 from decogs.formats.splats import Splats
 
@@ -84,7 +84,7 @@ def requantised(state: State, was: Lattice, lattice: Lattice) -> State:
         old.opacity_logits * np.float64(was.opacity_logits),
         sh,
     )
-    points = nearest_points(in_steps(values, lattice))
+    points = _on(lattice, values)
     other = _rounded(was, lattice)
     numbers = Attributes(**{name: getattr(points if name in other else old, name) for name in ARRAYS})
     return new_state(numbers, state.frame, ids=state.ids, next_id=state.next_id)
@@ -92,8 +92,16 @@ def requantised(state: State, was: Lattice, lattice: Lattice) -> State:
 
 def _placed(state: State, was: Lattice, lattice: Lattice, place: Similarity) -> State:
     """The nearest points of a scene that was brought elsewhere."""
-    points = quantise(transformed_splats(dequantise(state, was), place), lattice)
+    points = _on(lattice, transformed_splats(dequantise(state, was), place))
     return new_state(points, state.frame, ids=state.ids, next_id=state.next_id)
+
+
+def _on(lattice: Lattice, values: Splats) -> Attributes:
+    """The nearest lattice points. Raises UsageError where its integers do not reach."""
+    try:
+        return quantise(values, lattice)
+    except TrainingError as error:
+        raise UsageError(f"a scene does not fit the lattice of the first stream ({error}); `crop` it before") from None
 
 
 def _cost(changed: list[str], place: Similarity) -> str:

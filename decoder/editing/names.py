@@ -24,6 +24,7 @@ class Names:
 
     def __init__(self) -> None:
         self._known = self._first = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        self._all_own = True
         self.next_id = 0
 
     def of(self, state: State, *, is_key: bool, lists_all: bool, is_changed: bool) -> Rows:
@@ -38,19 +39,21 @@ class Names:
         new = np.flatnonzero(ids < 0)
         own = state.ids[new]
         kept = np.where(ids < 0, state.ids, ids)
-        are_free = bool(((own >= self.next_id) & (own < OWN_IDS)).all())
+        # As long as nobody has another's id, an own one is nobody else's; otherwise those are that nobody had yet.
+        are_free = bool(((own < OWN_IDS) & (self._all_own | (own >= self.next_id))).all())
         begins = is_key and not len(self._first[0])
         anew = begins and is_changed
         if is_key and not anew and are_free and _can_be_listed(np.sort(kept) if lists_all else own):
             ids = kept
             # Where another take's Gaussians are in the frame, its next id is theirs.
-            own_next = state.next_id if state.next_id <= OWN_IDS else int(kept.max(initial=-1)) + 1
+            own_next = state.next_id if state.next_id < OWN_IDS else int(kept.max(initial=-1)) + 1
             self.next_id = max(self.next_id, own_next)
         else:
             # As a delta orders what it adds; the packets behind a keyframe can stay where its rows do.
             order = np.arange(len(new)) if is_key and not anew else morton_order(take_rows(state, new).means)
             ids[new[order]] = self.next_id + np.arange(len(new))
             self.next_id += len(new)
+        self._all_own = self._all_own and np.array_equal(ids, state.ids)
         self._known = (state.ids, ids)
         if begins:
             self._first = self._known

@@ -112,9 +112,10 @@ def open_take(
     with open_chosen(path, None, strict=False, max_memory=max_memory, on_warning=on_warning) as (stream, every):
         settings = {name: value for name, value in stream.stored_header.settings.items() if name not in _OF_THE_ENCODE}
         source = _Source(stream, number * OWN_IDS)
-        yield Take(
-            replace(stream.stored_header, settings=settings), len(every), source.read, stream.keyframes, (Path(path),)
-        )
+        header = replace(stream.stored_header, settings=settings)
+        # The first keyframe of a damaged stream may be none that is left.
+        starts = (0, *(frame for frame in stream.keyframes if frame))
+        yield Take(header, len(every), source.read, starts, (Path(path),))
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,11 +89,11 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
         monkeypatch.setitem(PRESETS, name, short)
     monkeypatch.chdir(tmp_path)
     assert encode_main(["rig_dir", "-o", "scene.dgs", "--effects", "motion"]) == 0
-    for name, document in (("pose.json", "free-cameras.md"), ("bullet.json", "cameras.md")):
-        pose = re.search(r"```json\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
-        assert pose is not None
-        json.loads(pose[1])
-        Path(name).write_text(pose[1])
+    for name, document in (("pose.json", "free-cameras.md"), ("bullet.json", "cameras.md"), ("edits.toml", "edit.md")):
+        kind = Path(name).suffix[1:]
+        shown = re.search(rf"```{kind}\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
+        assert shown is not None
+        Path(name).write_text(shown[1])
     return tmp_path
 
 

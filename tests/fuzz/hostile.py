@@ -12,6 +12,7 @@ import io
 import struct
 import sys
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,6 +34,24 @@ from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import Attributes, State, all_rows, take_rows
 from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
 from decogs.decoder.damage import Damage
+from decogs.decoder.editing import (
+    Box,
+    Cameras,
+    Clean,
+    Concat,
+    Crop,
+    Grade,
+    Merge,
+    Operation,
+    Retime,
+    Set,
+    Speed,
+    Sphere,
+    Strip,
+    Transform,
+    Trim,
+    edit,
+)
 from decogs.decoder.following import follow_stream
 from decogs.decoder.frame import DecodedFrame
 from decogs.decoder.stream import open_stream
@@ -47,7 +66,7 @@ from decogs.formats.container import (
     read_index,
     scan_index,
 )
-from decogs.formats.errors import StreamError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import ALL_REASONS, Reason
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -382,6 +401,41 @@ class FileTarget:
         found: list[Damage] = []
         with follow_stream(io.BytesIO(data), strict=strict, on_damage=found.append, max_memory=MAX_MEMORY) as stream:
             _frames_read(stream.frames(), strict, found)
+
+
+EDITS: tuple[tuple[Operation, ...], ...] = (
+    (Trim(slice(2, None)), Concat((Path(),))),
+    (Crop(Sphere((0.0, 0.0, 0.0), 0.2), fade=0.1), Retime((Speed(0, None, 0.5, 2.0),), reverse=True)),
+    (Transform(turns=(("X", 40.0),), scale=3.0), Merge(Path()), Set(title="x")),
+    (Clean(size=0.5, seen=1), Grade(1.0, region=Box((-1.0, -1.0, -1.0), (0.1, 1.0, 1.0))), Strip(("rig",))),
+    (Cameras(rename=(("a", "b"),)), Retime(holds=((3, 4),))),
+)
+"""What is done to hostile streams; other streams are the stream itself."""
+
+
+@dataclass
+class EditTarget:
+    """Whole streams: edited, or refused; what an edit has written is a stream without a fault."""
+
+    path: Path
+
+    def __call__(self, data: bytes) -> None:
+        self.path.write_bytes(data)
+        asked = EDITS[zlib.crc32(data) % len(EDITS)]
+        try:
+            report = edit(
+                self.path, self.path.with_suffix(".out"), [self._of_this(each) for each in asked], max_memory=MAX_MEMORY
+            )
+        except (StreamError, UsageError):
+            return
+        with open_stream(self.path.with_suffix(".out"), strict=True) as stream:
+            if sum(1 for _ in stream.frames()) != report.frame_count:
+                raise Misbehaved("an edit lost frames")
+
+    def _of_this(self, operation: Operation) -> Operation:
+        if isinstance(operation, Concat):
+            return Concat((self.path,))
+        return Merge(self.path) if isinstance(operation, Merge) else operation
 
 
 def _frames_read(frames: Iterator[DecodedFrame], strict: bool, found: list[Damage]) -> int:

@@ -15,7 +15,7 @@ from ..segments import segment_of
 from ..take import Frame, Take
 from .base import Opener, Operation
 
-_MOST_FRAMES = 1 << 24
+_MOST_FRAMES = 1 << 20
 _DIGITS = 9
 _MOST_BUFFERED = 1 << 30
 """Bytes of a segment that is played backwards, which has to be in memory as a whole."""
@@ -114,9 +114,10 @@ class Retime(Operation):
         while position < count:
             frame = int(position)
             begin, end, start, stop = speeds[frame]
-            shown += [frame] * (1 + longer.pop(frame, 0))
-            if len(shown) > _MOST_FRAMES:
+            times = 1 + longer.pop(frame, 0)
+            if len(shown) + times > _MOST_FRAMES:
                 raise UsageError(f"retime: more than {_MOST_FRAMES} frames; hold shorter, or choose a higher speed")
+            shown += [frame] * times
             step = begin + (end - begin) * (position - start) / (stop - start)
             # Where one speed ends, the next begins with its first frame. Ten steps of a tenth are 1, not a little less.
             position = min(round(position + step, _DIGITS), float(stop))

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from decogs.codec.deltas import difference
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import dequantise, quantise
-from decogs.codec.syntax import write_key, write_skip
+from decogs.codec.state import empty_attributes, take_rows
+from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.decoder.editing import Concat, Trim, edit
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
@@ -60,6 +62,22 @@ def test_ids_follow_each_other_and_name_one_gaussian_each(small_stream) -> None:
     for number, end in enumerate(ends):
         ids = {int(name) for state in states[8 * number : 8 * number + 8] for name in state.ids}
         assert end - ends[0] <= min(ids) <= max(ids) < end
+
+
+def test_takes_without_a_gaussian_at_first(small_stream, tmp_path: Path) -> None:
+    """Then nothing but its next id tells whose take it is."""
+    header = header_of(small_stream.path)
+    none, _ = keyframe_state(empty_attributes(4))
+    born = difference(
+        none, np.zeros(0, int), empty_attributes(4), added=take_rows(small_stream.states[0], np.arange(9))
+    )
+    path = tmp_path / "empty.dgs"
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        writer.write(PacketKind.KEY, 0, write_key(none).payload)
+        writer.write(PacketKind.DELTA, 1, write_delta(none, born).payload)
+        writer.finish()
+    assert_same_values(states_of(joined(path, path)), states_of(path) * 2)
 
 
 def test_pieces_of_a_take_in_another_order(segmented_stream, tmp_path: Path) -> None:

@@ -4,23 +4,52 @@ from __future__ import annotations
 
 import gc
 import io
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from decogs.codec.state import State
+from decogs.codec.deltas import apply_delta, difference
+from decogs.codec.state import State, take_rows
+from decogs.codec.syntax import write_delta, write_key
 from decogs.decoder.editing import Trim, edit, read_recipe
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.editing.recipe import parse_operations
 from decogs.decoder.stream import open_stream
-from decogs.formats.container import PacketKind
+from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import DecogsError, StreamError, UsageError
 from edited_streams import assert_same_scenes, bodies, states_of
 from packets import iterate_packets
 
 
+@pytest.fixture
+def closed_stream(small_stream, tmp_path: Path) -> SimpleNamespace:
+    """Three segments of three frames that all start from the first keyframe's Gaussians and have young ids far apart.
+
+    What a segment removes comes back in the next one.
+    """
+    path, header, first = tmp_path / "closed.dgs", small_stream.header, small_stream.states[0]
+    born = take_rows(small_stream.states[3], np.arange(58, 62))
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        for segment in range(3):
+            state = replace(first, frame=3 * segment, next_id=max(first.next_id, segment << 33))
+            writer.write(PacketKind.KEY, state.frame, write_key(state, first=first if segment else None).payload)
+            for frame in (1, 2):
+                rows = np.arange(4 * segment + frame, 50, 9)
+                current = take_rows(state, rows)
+                current = replace(current, means=current.means + np.int32(7 * frame))
+                delta = difference(state, rows, current, removed=rows[:2] + 1, added=born if frame == 1 else None)
+                writer.write(PacketKind.DELTA, state.frame + 1, write_delta(state, delta).payload)
+                state = apply_delta(state, delta)
+        writer.finish()
+    return SimpleNamespace(path=path)
+
+
 @pytest.mark.parametrize(("start", "stop"), [(0, 8), (0, 3), (1, 8), (2, 6), (3, 4), (4, 8), (5, 7), (7, 8)])
-@pytest.mark.parametrize("kind", ["small_stream", "segmented_stream"])
+@pytest.mark.parametrize("kind", ["small_stream", "segmented_stream", "closed_stream"])
 def test_trim_keeps_every_scene_to_the_bit(kind: str, start: int, stop: int, request, tmp_path: Path) -> None:
     source = request.getfixturevalue(kind)
     out = tmp_path / "out.dgs"
