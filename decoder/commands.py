@@ -307,7 +307,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
     output = path_or_pipe(options.output, "the file")
     with progress("exporting", quiet=options.quiet) as on_frame:
         report = export(
-            _file(options.stream),
+            whole_file(options.stream),
             output,
             frames=frame_range(options.frames),
             up=options.up,
@@ -341,14 +341,16 @@ def _info(options: argparse.Namespace) -> None:
     from .stream_info_text import byte_lines, summary_lines
 
     with progress("reading", quiet=options.quiet) as on_frame:
-        facts = info(_file(options.stream), strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
+        facts = info(
+            whole_file(options.stream), strict=options.strict, max_memory=options.max_memory, on_frame=on_frame
+        )
     if options.json:
         print_text(json.dumps(facts.to_json(), indent=2))
     else:
         print_text("\n".join(byte_lines(facts) if options.bytes else summary_lines(facts)))
 
 
-def _file(stream: str) -> str:
+def whole_file(stream: str) -> str:
     """A stream that is read more than once, or from its end on; raises UsageError for a pipe."""
     if stream == "-" and not os.path.exists(stream):
         raise UsageError(

@@ -43,6 +43,7 @@ def test_they_are_current(monkeypatch: pytest.MonkeyPatch) -> None:
         (["decogs-encode", "ri"], ["rig folder"]),
         (["decogs-decode", "scene.dgs", "--codec", "h"], ["h264", "hevc"]),
         (["decogs-info", "sc"], ["scene.dgs"]),
+        (["decogs-edit", "scene.dgs", "tr"], ["trim", "transform"]),
         (["decogs-bench", "ch"], ["choices"]),
         (["decogs-bench", "paper", "--keep"], ["--keep-streams"]),
     ],

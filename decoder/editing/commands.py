@@ -19,6 +19,7 @@ from decogs.formats.command_line import (
 )
 from decogs.formats.errors import UsageError
 
+from ..commands import whole_file
 from ..limits import DEFAULT_MAX_MEMORY
 from .operations import OPERATIONS
 
@@ -74,7 +75,7 @@ def _edit(parser: Parser, words: Sequence[str]) -> None:
     output = None if options.output is None else path_or_pipe(options.output, "the stream")
     with progress("editing", quiet=options.quiet) as on_frame:
         report = edit(
-            options.stream,
+            whole_file(options.stream),
             output,
             operations,
             max_memory=options.max_memory,

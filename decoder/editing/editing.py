@@ -18,7 +18,7 @@ from decogs.formats.outputs import GrowingFile, Output, check_outputs, errors_na
 
 from ..limits import DEFAULT_MAX_MEMORY
 from .operations.base import Operation
-from .take import Take, open_take
+from .take import Frame, Take, open_take
 from .writing import FrameWriter
 
 
@@ -63,24 +63,44 @@ def edit(
         def open_other(path: str | os.PathLike[str]) -> Take:
             return opened.enter_context(open_take(path, next(numbers), max_memory=max_memory, on_warning=on_warning))
 
-        take = open_other(stream)
+        shown = _Shown(on_frame)
+        take = open_other(stream).each(shown.read)
         for operation in operations:
             take = operation.edit(take, open_other)
             _check_header(operation, take)
         _check_files(target, operations, take)
         with _opened(target) as (file, publish):
-            writer, frames = _written(take, file, on_frame)
+            writer, frames = _written(take, file, shown)
             publish()
         return EditReport(frames.frames, frames.kept, writer.bytes_written, tuple(note() for note in take.notes))
 
 
-def _written(take: Take, file: BinaryIO, on_frame: OnProgress | None) -> tuple[StreamWriter, FrameWriter]:
+class _Shown:
+    """Progress: frames that were written.
+
+    It is told of frames that are read, too: an operation may read all of them before the first one is written.
+    """
+
+    def __init__(self, on_frame: OnProgress | None) -> None:
+        self._on_frame, self.done, self.total = on_frame, 0, 0
+
+    def read(self, frame: Frame) -> Frame:
+        self.to(self.done)
+        return frame
+
+    def to(self, done: int) -> None:
+        self.done = done
+        if self._on_frame is not None:
+            self._on_frame(done, self.total)
+
+
+def _written(take: Take, file: BinaryIO, shown: _Shown) -> tuple[StreamWriter, FrameWriter]:
     writer = StreamWriter(file, take.header.to_bytes())
     frames = FrameWriter(take.header, writer)
+    shown.total = take.frame_count
     for frame in take.read(0, take.frame_count):
         frames.write(frame)
-        if on_frame is not None:
-            on_frame(frames.frames, take.frame_count)
+        shown.to(frames.frames)
     writer.finish()
     return writer, frames
 

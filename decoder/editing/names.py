@@ -53,6 +53,9 @@ class Names:
             order = np.arange(len(new)) if is_key and not anew else morton_order(take_rows(state, new).means)
             ids[new[order]] = self.next_id + np.arange(len(new))
             self.next_id += len(new)
+        if is_key and lists_all and not _can_be_listed(np.sort(ids)):
+            ids = self.next_id + np.arange(len(ids))
+            self.next_id += len(ids)
         self._all_own = self._all_own and np.array_equal(ids, state.ids)
         self._known = (state.ids, ids)
         if begins:
