@@ -30,6 +30,9 @@ _GAMMA = 2.2
 
 _MOST_STOPS = 10.0
 
+_LARGEST_HARMONIC = 0.75
+"""No harmonic of degree 1 to 3 is above this in any direction."""
+
 
 @dataclass(frozen=True)
 class Grade(Operation):
@@ -54,8 +57,9 @@ class Grade(Operation):
         matrix, lattice = self.matrix, take.header.lattice
         if np.array_equal(matrix, np.eye(3)):
             raise UsageError("grade: nothing is to be done; say what to change")
-        loss = max(lattice.sh_dc * SH_C0, lattice.sh_rest * SH_C0) / 2
-        note = f"grade: colours rounded to the lattice, by at most {loss:.3f} of the range of a channel and coefficient"
+        note = f"grade: rounded to the lattice of colours, by at most {lattice.sh_dc * SH_C0 / 2:.3f} of 0 to 1"
+        if take.header.sh_degree:
+            note += f", and {lattice.sh_rest * _LARGEST_HARMONIC / 2:.3f} for each harmonic"
         region = self.region
         if region is None:
             graded = take.each_scene(lambda state: _graded(take.header, state, matrix, np.ones(len(state), bool)))
