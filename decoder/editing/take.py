@@ -79,6 +79,13 @@ class Take:
         """The same take with one more line to say."""
         return replace(self, notes=(*self.notes, (lambda: note) if isinstance(note, str) else note))
 
+    def with_poster(self, place_of: Callable[[int], int | None]) -> Take:
+        """The take with its poster where that frame is now; None where it is no more."""
+        told = self.header.presentation
+        if told.poster is None:
+            return self
+        return replace(self, header=replace(self.header, presentation=replace(told, poster=place_of(told.poster))))
+
     def each_scene(self, edit: Callable[[State], State]) -> Take:
         """The take with the scene of every frame edited by itself; one that did not change is edited once."""
 

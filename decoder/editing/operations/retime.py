@@ -61,7 +61,7 @@ class Retime(Operation):
             frame_count=len(shown),
             read=lambda start, stop: _read(take, shown, start, stop),
             starts=starts,
-        )
+        ).with_poster(lambda frame: shown.index(frame) if frame in shown else None)
         rate = "" if header.fps is None else f" at {header.fps:g} a second"
         return retimed.with_note(f"retime: {len(shown)} frames of {take.frame_count}{rate}")
 

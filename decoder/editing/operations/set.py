@@ -47,7 +47,8 @@ class Set(Operation):
             raise UsageError(f"set: the poster, frame {self.poster}, is none of 0:{take.frame_count}")
         near = {camera.name: camera.near for camera in header.cameras}
         for name, distance in self.near:
-            near |= {name: distance} if name else dict.fromkeys(near, distance)
+            stored = distance / header.presentation.similarity.scale
+            near |= {name: stored} if name else dict.fromkeys(near, stored)
         header = replace(
             header,
             presentation=replace(header.presentation, **_some(told, _OF_PRESENTATION)),

@@ -41,6 +41,7 @@ class Trim(Operation):
             read=lambda a, b: take.read(start + a, start + b),
             starts=(0, *(key - start for key in take.starts if start < key < stop)),
         )
+        trimmed = trimmed.with_poster(lambda frame: frame - start if start <= frame < stop else None)
         return trimmed.with_note(f"trim: frames {start}:{stop} of {take.frame_count}")
 
     @staticmethod

@@ -15,7 +15,7 @@ from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.syntax import write_key, write_skip
 from decogs.decoder.commands import decode_main, info_main
-from decogs.decoder.editing import Cameras, Set, Strip, edit
+from decogs.decoder.editing import Cameras, Operation, Retime, Set, Speed, Strip, Transform, Trim, edit
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
@@ -87,6 +87,30 @@ def test_set_leaves_what_it_does_not_name(small_stream) -> None:
     assert header_of(again).presentation.as_document() == {"title": "one", "poster": 0, "first_view": "cam00"}
     edit(again, once, [Set(title="")])
     assert header_of(once).presentation.title == ""
+
+
+def test_near_planes_are_of_the_world_that_is_shown(small_stream) -> None:
+    out = small_stream.path.with_name("out.dgs")
+    edit(small_stream.path, out, [Transform(scale=4.0), Set(near=(("wide", 2.0),))])
+    assert header_of(out).near_planes["wide"] == pytest.approx(0.5)
+    with open_stream(out) as stream:
+        assert stream.header.near_planes["wide"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("operation", "poster"),
+    [
+        (Trim(slice(2, None)), 3),
+        (Trim(slice(6, None)), None),
+        (Retime(reverse=True), 2),
+        (Retime((Speed(0, None, 2, 2),)), None),
+        (Retime((Speed(4, 6, 0.5, 0.5),)), 6),
+    ],
+)
+def test_a_poster_stays_the_frame_that_it_is(operation: Operation, poster: int | None, small_stream) -> None:
+    out = small_stream.path.with_name("out.dgs")
+    edit(small_stream.path, out, [Set(poster=5), operation])
+    assert header_of(out).presentation.poster == poster
 
 
 def test_the_command_sets_what_its_options_say(small_stream, tmp_path: Path, capsys) -> None:
