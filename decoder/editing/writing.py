@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Protocol
 
@@ -98,14 +97,6 @@ class FrameWriter:
         if not (len(delta.rows) or len(delta.removed) or len(delta.added)):
             return PacketKind.SKIP, write_skip(before).payload, replace(before, frame=after.frame)
         return PacketKind.DELTA, write_delta(before, delta).payload, apply_delta(before, delta)
-
-
-def write_frames(header: StreamHeader, frames: Iterable[Frame], sink: PacketSink) -> FrameWriter:
-    """Writes all the frames; what was written is counted in the result."""
-    writer = FrameWriter(header, sink)
-    for frame in frames:
-        writer.write(frame)
-    return writer
 
 
 def _named(state: State, ids: Rows, next_id: int, in_order: bool, frame: int) -> State:

@@ -99,14 +99,14 @@ def test_a_damaged_frame_is_refused_and_can_be_trimmed_away(small_stream, tmp_pa
 
 def test_memory_does_not_grow_with_the_take(segmented_stream, tmp_path: Path) -> None:
     def most_states(frames: slice) -> int:
-        found = []
+        found = {}
 
         def count(done: int, total: int) -> None:
-            gc.collect()
-            found.append(sum(isinstance(thing, State) for thing in gc.get_objects()))
+            if done not in found:
+                found[done] = sum(isinstance(thing, State) for thing in gc.get_objects())
 
         edit(segmented_stream.path, tmp_path / "out.dgs", [Trim(frames)], on_frame=count)
-        return max(found)
+        return max(found.values())
 
     assert most_states(slice(1, 20)) <= most_states(slice(1, 8))
 

@@ -106,15 +106,18 @@ def test_the_command_says_it_in_words(small_stream, tmp_path: Path) -> None:
         ("--speed 2=2", "are no range"),
         ("--speed 2:4", "'' is no number"),
         ("--speed -3:=2", "count frames from the take's start"),
-        ("--speed 0:=0.0000001", "more than 1048576 frames"),
-        ("--hold 0:999999999999", "more than 1048576 frames"),
+        ("--speed 0:=0.0000001", "more than 1000 frames"),
+        ("--hold 0:999999999999", "more than 1000 frames"),
         ("--hold 8:1", "a hold of frame 8 for 1 is not possible"),
         ("--hold 3:-1", "a hold of frame 3 for -1 is not possible"),
         ("--hold 3", "'' is no whole number"),
         ("--fps 0", "fps is no number"),
     ],
 )
-def test_what_cannot_be_is_refused(words: str, message: str, small_stream, tmp_path: Path, capsys) -> None:
+def test_what_cannot_be_is_refused(
+    words: str, message: str, small_stream, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retime, "_MOST_FRAMES", 1000)
     assert edit_main([str(small_stream.path), "-o", str(tmp_path / "out.dgs"), "retime", *words.split()]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.glob("out*"))
