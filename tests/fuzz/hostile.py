@@ -58,6 +58,7 @@ from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     FRAME_KINDS,
+    MAX_FRAME,
     Packet,
     PacketKind,
     PacketReader,
@@ -241,7 +242,8 @@ def mutated_stream(random: Random, packets: list[Packet]) -> bytes:
             other = random.randrange(len(chosen))
             chosen[at], chosen[other] = chosen[other], packet
         elif action == 3:
-            chosen[at] = replace(packet, frame=random.choice((0, 1, 3, 70_000, (1 << 31) - 1, packet.frame + 1)))
+            following = min(packet.frame + 1, MAX_FRAME)
+            chosen[at] = replace(packet, frame=random.choice((0, 1, 3, 70_000, MAX_FRAME, following)))
         elif action == 4:
             kind = random.choice((1, 2, 3, 4, 5, 6, 7, 8, 200))
             chosen[at] = replace(packet, kind=kind, critical=random.random() < 0.5)
