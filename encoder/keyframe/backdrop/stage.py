@@ -32,6 +32,8 @@ _MIN_ROOM_SHARE = 0.3
 _MIN_ARC_DEGREES = 90.0
 """Of the cameras around a stage. Of a narrower arc's backdrop too little is seen from two sides: on `hdr`, an arc of 48
 degrees before walls that darkness makes plain, a backdrop cost 2 dB."""
+_MIN_ROOM_ARC_DEGREES = 210.0
+"""The same of a room, whose floor is found by texture: on half rings at wrong heights, too."""
 _MIN_VIEWS = 4
 """Views from which a stage is sought: in the hull of three all around, no view confirms a first point."""
 _DECISION_PIXELS = 62_000
@@ -159,7 +161,7 @@ def _plain_stage(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> Plain
         for subject, mask, plate in zip(subjects, plain, plates, strict=True)
     ]
     surfaces = find_surfaces(backdrops)
-    if not _wide_arc(surfaces, seen):
+    if _arc(surfaces, seen) < _MIN_ARC_DEGREES:
         return None
     spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
     xyz, normals = surfaces.points(spacing)
@@ -173,7 +175,7 @@ def _plain_room(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainR
     walls = [PlainView(view.camera, mask, plate) for view, mask, plate in zip(seen, plain, plates, strict=True)]
     whole = [PlainView(view.camera, view.recorded, view.picture) for view in seen]
     surfaces = find_room(walls, whole)
-    if surfaces is None or not _wide_arc(surfaces, seen):
+    if surfaces is None or _arc(surfaces, seen) < _MIN_ROOM_ARC_DEGREES:
         return None
     spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
     xyz, normals = surfaces.points(spacing)
@@ -189,9 +191,10 @@ def _plain_room(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainR
     return PlainRoom(hull, surfaces, shown, xyz[kept].astype(np.float32), colours[kept], spacing, beside)
 
 
-def _wide_arc(surfaces: Surfaces, seen: Sequence[StageView]) -> bool:
+def _arc(surfaces: Surfaces, seen: Sequence[StageView]) -> float:
+    """Degrees around the stage over which the cameras stand."""
     gaps, _ = surfaces.gaps(np.array([camera_centre(view.camera) for view in seen]))
-    return bool(360 - gaps.max() >= _MIN_ARC_DEGREES)
+    return float(360 - gaps.max())
 
 
 def _plain_share_reaches(least: float, views: Sequence[View], pictures: Sequence[FloatArray]) -> bool:
