@@ -47,35 +47,46 @@ def lenses_by_board(
     lenses: dict[int, Lens] = {}
     reasons: dict[int, str] = {}
     doubts: dict[int, str] = {}
-    misfits: dict[int, float] = {}
     for number, camera in enumerate(footage):
         views[number] = board_views(pictures_at(camera, instants), find)
         seen = list(views[number].values())
-        on_step(number + 1, len(footage))
-        lens = lens_from_board(seen, corners, camera.size) if given is None else given.lenses[number]
+        lens, word = _own_lens(seen, corners, camera.size) if given is None else (given.lenses[number], "")
         if lens is None or not seen:
-            reasons[number] = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board"
-            continue
-        if given is not None:
+            few = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board"
+            reasons[number] = word or few
+        else:
             lenses[number] = lens
-            focal, error = focal_that_fits(lens, seen, corners)
-            if not given.fits(number, focal) and error * _CONTRADICTED < board_error(lens, seen, corners):
-                misfits[number] = focal
-            continue
-        # OpenCV does not tell it of a fisheye lens
-        deviation = 0.0 if lens.kind == "fisheye" else focal_deviation(seen, corners, camera.size)
-        known = f"known to {100 * deviation:.1f} % only" if np.isfinite(deviation) else "not known"
-        doubt = f"its focal length is {known}; show it the board tilted, and all over its picture"
-        if deviation > _MAX_FOCAL_DEVIATION:
-            reasons[number] = doubt
-            continue
-        if deviation > _NAMED_FOCAL_DEVIATION:
-            doubts[number] = doubt
-        lenses[number] = lens
-    if given is not None and misfits:
+            doubts |= {number: word} if word else {}
+        on_step(number + 1, len(footage))
+    sights = {number: list(views[number].values()) for number in lenses}
+    if given is not None and (misfits := _misfits(given, sights, corners)):
         raise given.contradicted(footage, misfits)
-    errors = {number: board_error(lens, list(views[number].values()), corners) for number, lens in lenses.items()}
+    errors = {number: board_error(lens, sights[number], corners) for number, lens in lenses.items()}
     return BoardLenses(views, lenses, errors, reasons, doubts)
+
+
+def _own_lens(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> tuple[Lens | None, str]:
+    """A camera's lens, and a doubt of it; without a lens, why, where anything but the number of views is wrong."""
+    lens = lens_from_board(views, corners, size)
+    if lens is None or lens.kind == "fisheye":  # of which OpenCV does not tell the deviation
+        return lens, ""
+    deviation = focal_deviation(views, corners, size)
+    known = f"known to {100 * deviation:.1f} % only" if np.isfinite(deviation) else "not known"
+    doubt = f"its focal length is {known}; show it the board tilted, and all over its picture"
+    if deviation > _MAX_FOCAL_DEVIATION:
+        return None, doubt
+    return lens, doubt if deviation > _NAMED_FOCAL_DEVIATION else ""
+
+
+def _misfits(given: Given, sights: Mapping[int, Sequence[BoardView]], corners: F64) -> dict[int, float]:
+    """Focal lengths, px, that fit clearly better than those given."""
+    found = {number: focal_that_fits(given.lenses[number], views, corners) for number, views in sights.items()}
+    return {
+        number: focal
+        for number, (focal, error) in found.items()
+        if not given.fits(number, focal)
+        and error * _CONTRADICTED < board_error(given.lenses[number], sights[number], corners)
+    }
 
 
 def place_with_board(

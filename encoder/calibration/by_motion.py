@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from .features import F64, features_of, matched, sift_extractor
+from .features import F64, Features, features_of, matched, sift_extractor
 from .footage import Footage, instants_of, pictures_at
-from .given import Given
+from .given import CERTAIN, Given
 from .held_out import split
 from .placed import MAX_ERROR, Calibration, OnStep, Placed, inaccurate, scaled
 from .structure import Mapped, Matched, map_cameras, require_pycolmap
@@ -25,6 +25,11 @@ _FEATURES_ERROR = 0.7
 `panoptic_basketball`."""
 _MAX_FOCAL_ERROR, _NAMED_FOCAL_ERROR = 0.1, 0.02
 """That a focal length may have: what is left out, and what is named (docs/calibrate.md)."""
+_MOVES, _MOVES_MORE = 0.4, 2.0
+"""Share of a picture that moves with its camera, at least, and times the usual share: of one that pans .5 to .8; of
+`workbench_drift`, where one camera shakes by a pixel, .5, and others' .3."""
+_MIRRORED = 3.0
+"""Times as many matches. Pictures that have nothing in common match by chance, some ten times, either way."""
 _BOARD = "show all cameras a board (--board), or put a camera in between"
 _LENS_HELP = "add cameras around it, show it a board (--board), or give its lens (--intrinsics)"
 
@@ -54,27 +59,54 @@ def place_by_motion(
     start = Matched([one.name for one in footage], [one.size for one in footage], features, matches, shared, given)
     ways = iter(range(len(footage) + 1, total + 1))
     mapped = map_cameras(start, seed, lambda: on_step(next(ways), total))
-    if given is not None:
-        misfits = mapped.misfits if mapped is not None and _is_consistent(mapped) else _without(given, start, seed)
-        if misfits:
-            raise given.contradicted(footage, misfits)
-    return judged(mapped, footage)
+    if given is not None and (misfits := _misfits(given, mapped, start, seed)):
+        raise given.contradicted(footage, misfits)
+    found = judged(mapped, footage)
+    words = moving_cameras({one.name: own.moving for one, own in zip(footage, features, strict=True)})
+    for number, one in enumerate(footage):
+        if found.placed and one.name in found.not_connected:
+            pictures = [np.ascontiguousarray(picture[:, ::-1]) for picture in pictures_at(one, instants)]
+            others = [*features[:number], *features[number + 1 :]]
+            if is_mirrored(features[number], features_of(pictures, extractor), others):
+                words[one.name] = "fits the others when it is mirrored; turn the video left to right"
+    return _explained(found, words)
+
+
+def moving_cameras(moving: Mapping[str, float]) -> dict[str, str]:
+    """A word on cameras whose whole picture moves, by the share of each that does."""
+    usual = float(np.median(list(moving.values())))
+    moved = [name for name, share in moving.items() if share > max(_MOVES, _MOVES_MORE * usual)]
+    return dict.fromkeys(moved, "most of its picture moves, of others' does not; cameras have to stand still")
+
+
+def is_mirrored(own: Features, turned: Features, others: Sequence[Features]) -> bool:
+    """Whether a camera's features match others' far better from pictures that are turned left to right."""
+    here, there = (sum(len(matched(one.static(), other.static())) for other in others) for one in (own, turned))
+    return there > _MIRRORED * here
+
+
+def _explained(found: Calibration, words: Mapping[str, str]) -> Calibration:
+    """With words on cameras, as the reasons of those that are not connected, and as doubts of others."""
+    reasons = {name: words.get(name, reason) for name, reason in found.not_connected.items()}
+    doubts = {name: word for name, word in words.items() if name not in reasons}
+    return replace(found, not_connected=reasons, doubts={**found.doubts, **doubts})
 
 
 def _is_consistent(mapped: Mapped) -> bool:
     return mapped.score.explained >= _MIN_EXPLAINED
 
 
-def _without(given: Given, start: Matched, seed: int) -> dict[int, float]:
-    """Where nothing fits given lenses: focal lengths, px, of free ones that do, as far as they differ."""
+def _misfits(given: Given, mapped: Mapped | None, start: Matched, seed: int) -> Mapping[int, float]:
+    """Focal lengths, px, by which pictures contradict those given; where these leave cameras out, of free lenses."""
+    if mapped is not None and _is_consistent(mapped) and (mapped.misfits or len(mapped.cameras) == len(start.names)):
+        return mapped.misfits
     free = map_cameras(replace(start, given=None), seed, lambda: None)
     if free is None or not _is_consistent(free):
         return {}
     return {
         number: camera.fx
         for number, camera in free.cameras.items()
-        if abs(camera.fx / given.lenses[number].focal[0] - 1) > free.focal_errors[number]
-        and not given.fits(number, camera.fx)
+        if not given.fits(number, camera.fx, free.focal_errors[number] / CERTAIN)
     }
 
 

@@ -8,6 +8,7 @@ points, times the residuals' variance.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -22,8 +23,9 @@ from .features import F64, I64
 _CENTRE = 0.003
 """Standard deviation of where a lens's axis meets the picture, from its middle, in widths. Real ones are off by .01
 and more; where they are off by .02, focal lengths are off by at most what this says (docs/calibrate.md)."""
-_LEAST_CURVATURE = 1e-13
-"""Of the normal equations, over their largest: below, they have no inverse in float64."""
+_LEAST_PIVOT = 1e-6
+"""Of the normal equations' Cholesky factor, whose diagonal would be 1 if no unknown hung together with others: below,
+they have no inverse in float64."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,13 @@ Freedom = Literal["focal", "lens", "centre"]
 def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
     """Standard deviation of each image's focal length, as its share, by the image's number in a pycolmap model.
 
-    With ``lens``, the principal point, which the adjustment held in the middle, may be off it by what is usual. All
-    infinite where the points leave the lenses open.
+    With ``lens``, the principal point, which the adjustment held in the middle, may be off it by what is usual.
+    Infinite where the points leave the lenses open, and for images without points.
     """
-    images = sorted(model.reg_image_ids())
+    unknown = dict.fromkeys(sorted(model.reg_image_ids()), float(np.inf))
+    images = [image for image in unknown if model.images[image].num_points3D]
+    if len(images) < 2:
+        return unknown
     rows = {point: row for row, point in enumerate(sorted(model.points3D))}
     places = np.array([model.points3D[point].xyz for point in rows]).reshape(-1, 3)
     lenses = {image: model.cameras[model.images[image].camera_id] for image in images}
@@ -56,19 +61,27 @@ def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
     kept = np.setdiff1d(np.arange(count), _gauge(model, images, columns))
     known = 2 * sum(len(one.points) for one in sights.values()) - 3 * len(places) - len(kept)
     if known <= 0:
-        return dict.fromkeys(images, float(np.inf))
+        return unknown
     variance = sum(float((one.residuals**2).sum()) for one in sights.values()) / known
-    normal = _reduced(sights, columns, count, len(places)) / variance
-    if freedom == "lens":
-        for image in images:
-            normal[columns[image][-2:], columns[image][-2:]] += (_CENTRE * lenses[image].width) ** -2.0
-    scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
-    values, vectors = np.linalg.eigh(normal[np.ix_(kept, kept)] * scale * scale[:, None])
-    if values[0] <= _LEAST_CURVATURE * values[-1]:
-        return dict.fromkeys(images, float(np.inf))
+    try:
+        normal = _reduced(sights, columns, count, len(places)) / variance
+        if freedom == "lens":
+            for x, y, width in {(*columns[image][-2:].tolist(), lenses[image].width) for image in images}:
+                normal[[x, y], [x, y]] += (_CENTRE * width) ** -2.0
+        scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
+        root = np.linalg.cholesky(normal[np.ix_(kept, kept)] * scale * scale[:, None])
+    except np.linalg.LinAlgError:
+        return unknown
+    if root.diagonal().min() < _LEAST_PIVOT:
+        return unknown
     deviations = np.zeros(count)
-    deviations[kept] = scale * np.sqrt((vectors**2 / values).sum(axis=1))
-    return {image: float(deviations[columns[image][6]] / lenses[image].mean_focal_length()) for image in images}
+    deviations[kept] = scale * np.sqrt((np.linalg.inv(root) ** 2).sum(axis=0))
+    # What matches have in common does not average out over the images of a shared lens.
+    sharing = Counter(lens.camera_id for lens in lenses.values())
+    return unknown | {
+        image: float(deviations[columns[image][6]] / lens.mean_focal_length() * np.sqrt(sharing[lens.camera_id]))
+        for image, lens in lenses.items()
+    }
 
 
 def _sights(image: Any, lens: Any, rows: Mapping[int, int], places: F64, freedom: Freedom) -> _Sights:

@@ -84,11 +84,12 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
     from .calibrate import calibrate
     from .page import page_of
     from .placed import by_reason, parse_distance
-    from .written import write_rig
+    from .written import check_folder, write_rig
 
     if options.frames is not None and options.frames < 1:
         raise UsageError("`frames`: needs at least 1")
     board = None if options.board is None else parse_board(options.board)
+    check_folder(Path(options.output), lenses_only=options.lenses_only)
     if options.lenses_only:
         _find_lenses(parser, options, board)
         return

@@ -1,13 +1,16 @@
 """Cameras by structure from motion (pycolmap), from matches of their features.
 
 Several ways are tried: incremental and global mapping, with and without distortion; then the best one's lenses with
-more freedom. Which is best say matches that none was fitted to. Everything runs on one thread from one seed, so that
+more freedom, as far as points determine it. Which is best say matches that none was fitted to. Given lenses stay, and
+are held against free ones. Everything runs on one thread from one seed, so that
 the same pictures give the same bits on one machine.
 """
 
 from __future__ import annotations
 
+import signal
 import tempfile
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -88,12 +91,15 @@ class Matched:
 
 def require_pycolmap() -> Any:
     """The module; raises UsageError where it is not installed."""
+    on_termination = signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap
     except ImportError:
         raise UsageError(
             "without a board, cameras are placed by pycolmap, which is not installed: pip install 'decogs[calibrate]'"
         ) from None
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, on_termination)  # pycolmap's prints a stack trace and leaves everything lying
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     return pycolmap
 

@@ -18,13 +18,14 @@ CALIBRATION, _RIG = "calibration.json", "rig.json"
 PAGE = "report.html"
 
 
-def write_rig(found: Calibration, folder: Path, page: str) -> None:
-    """Writes rig.json, which names the videos by relative paths, calibration.json and the page.
-
-    Raises RigError where the folder has a calibration that this did not write.
-    """
-    if (folder / _RIG).exists() and not (folder / CALIBRATION).exists():
+def check_folder(folder: Path, *, lenses_only: bool) -> None:
+    """Raises RigError where a rig lies that `write_rig` did not write, or, for lenses alone, any."""
+    if (folder / _RIG).exists() and (lenses_only or not (folder / CALIBRATION).exists()):
         raise RigError(f"{folder / _RIG}: another calibration is there; name another folder")
+
+
+def write_rig(found: Calibration, folder: Path, page: str) -> None:
+    """Writes rig.json, which names the videos by relative paths, calibration.json and the page."""
     document = {
         "pixel_convention": "(0,0)",
         "cameras": [_camera(one.camera) | _place(one) for one in found.placed],
@@ -35,9 +36,7 @@ def write_rig(found: Calibration, folder: Path, page: str) -> None:
 
 
 def write_lenses(cameras: Mapping[str, tuple[Camera, float]], folder: Path) -> None:
-    """Writes calibration.json with lenses alone, and the error of each, px. Raises RigError where a rig lies."""
-    if (folder / _RIG).exists():
-        raise RigError(f"{folder / _RIG}: another calibration is there; name another folder")
+    """Writes calibration.json with lenses alone, and the error of each, px."""
     records = [_camera(camera) | {"reprojection_error": error} for camera, error in cameras.values()]
     _write(folder, {CALIBRATION: _text({"pixel_convention": "(0,0)", "cameras": records})})
 

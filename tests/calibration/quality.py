@@ -14,7 +14,7 @@ from statistics import fmean
 
 import cv2
 import numpy as np
-from table import found_from, laid_over
+from table import deviations, found_from, laid_over
 
 from decogs.decoder.commands import decode_main
 from decogs.encoder import EncodeJob, encode
@@ -48,6 +48,9 @@ def main() -> None:
     others = [camera for camera in given.cameras if camera.name != options.holdout]
     moved = {camera.name: camera for camera in laid_over([placed[camera.name] for camera in others], others)}
     found = replace(given, cameras=tuple(moved.get(camera.name, camera) for camera in given.cameras))
+    found_off = deviations([moved[camera.name] for camera in others], others)
+    for what, values in zip(("degrees", "% of the mean baseline", "% of focal length"), found_off, strict=True):
+        print(f"{np.median(values):.2f}, {values.max():.2f} {what}", flush=True)
     figures = {name: measured(each, name, options) for name, each in (("given", given), ("found", found))}
     recorded = next(given.sources[[c.name for c in given.cameras].index(options.holdout)].read(0, 1))[..., ::-1]
     views = [cv2.imread(str(sorted((options.output / name).glob("*.png"))[0])) for name in figures]

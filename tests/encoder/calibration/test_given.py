@@ -100,3 +100,13 @@ def test_lenses_alone_come_from_a_board_in_one_camera(tmp_path: Path) -> None:
     (camera,) = json.loads((tmp_path / "lens" / "calibration.json").read_text())["cameras"]
     assert "pose" not in camera
     assert np.allclose(camera["focal"], FOCAL, rtol=0.01)  # the goal of the focal length
+
+
+def test_a_calibration_of_somebody_else_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "rig.json").write_text("{}")
+    arguments = [str(tmp_path), "-o", str(tmp_path), "-q", "--board", BOARD]
+    assert calibrate_main(arguments) == 2
+    assert "another calibration is there" in capsys.readouterr().err
+    (tmp_path / "calibration.json").write_text("{}")
+    assert calibrate_main([*arguments, "--lenses-only"]) == 2
+    assert "another calibration is there" in capsys.readouterr().err

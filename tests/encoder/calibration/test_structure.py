@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from decogs.decoder.lens import distort_pixels, with_k1
 from decogs.encoder.calibration import certainty
+from decogs.encoder.calibration.by_motion import _explained, is_mirrored, moving_cameras
 from decogs.encoder.calibration.certainty import focal_deviations
-from decogs.encoder.calibration.features import Features
+from decogs.encoder.calibration.features import Features, features_of, sift_extractor
 from decogs.encoder.calibration.given import Given
 from decogs.encoder.calibration.held_out import split
 from decogs.encoder.calibration.lenses import Lens
+from decogs.encoder.calibration.placed import Calibration
 from decogs.encoder.calibration.structure import Mapped, Matched, map_cameras
 from decogs.formats.cameras import Camera, project
 
@@ -118,3 +121,26 @@ def test_exchanged_videos_of_unlike_lenses_are_named() -> None:
     mapped = map_cameras(start, 0, lambda: None)
     assert mapped is not None
     assert sorted(mapped.misfits) == [1, 3]
+
+
+def test_a_camera_whose_whole_picture_moves_is_named() -> None:
+    assert list(moving_cameras({"a": 0.6, "b": 0.7, "c": 0.1, "d": 0.1, "e": 0.2})) == ["a", "b"]
+    assert not moving_cameras(dict.fromkeys("abc", 0.9)), "everything moves"
+
+
+def test_a_word_takes_the_place_of_a_reason_and_is_a_doubt_of_others() -> None:
+    found = _explained(Calibration((), {"b": "is lost", "c": "is lost"}, "", ""), {"a": "moves", "b": "moves"})
+    assert found.not_connected == {"b": "moves", "c": "is lost"}
+    assert found.doubts == {"a": "moves"}
+
+
+def test_mirrored_pictures_match_when_they_are_turned() -> None:
+    draw = np.random.default_rng(2)
+    shapes = cv2.GaussianBlur(draw.integers(0, 256, (48, 64), np.uint8), (0, 0), 0.8)
+    picture = np.repeat(cv2.resize(shapes, (512, 384))[..., None], 3, axis=2)
+    moved = np.ascontiguousarray(np.roll(picture, 20, axis=1))
+    other, own, turned = (
+        features_of([one], sift_extractor()) for one in (moved, np.ascontiguousarray(picture[:, ::-1]), picture)
+    )
+    assert is_mirrored(own, turned, [other])
+    assert not is_mirrored(turned, own, [other])
