@@ -46,9 +46,9 @@ class Faults:
     damaged: set[tuple[int, str]]
 
     @property
-    def dropped(self) -> set[tuple[int, str]]:
-        """Those that the encoder cannot have."""
-        return self.missing | self.damaged | {key for key, seconds in self.late.items() if seconds > LATE}
+    def lost(self) -> set[tuple[int, str]]:
+        """Those that the encoder cannot have; one that is late may be there by the time it is asked for."""
+        return self.missing | self.damaged
 
 
 @dataclass
@@ -223,11 +223,13 @@ def report_lines(
     yield f"CPU of a frame     mean {np.mean(spent):.2f} s"
     places = [frame for frame in (20, 100, 200, 300, 400, len(frames) - 1) if frame in seen.memory]
     yield "memory             " + ", ".join(f"{seen.memory[at] / 2**20:.0f} MB at {at}" for at in places)
-    injected = faults.dropped
+    lost, late = faults.lost, faults.late.keys()
     counts = f"{len(faults.missing)} missing, {len(faults.damaged)} damaged, {len(faults.late)} late"
-    yield f"faults             {counts}; {len(injected)} pictures that cannot be had"
-    yield f"not in the log     {len(injected - dropped.keys())}"
-    yield f"in the log besides {len(dropped.keys() - injected)}"
+    too_late = sum(seconds > LATE for seconds in faults.late.values())
+    yield f"faults             {counts}, {too_late} of them by more than was to be waited"
+    yield f"lost, not in the log   {len(lost - dropped.keys())} of {len(lost)}"
+    yield f"late, in the log       {len(dropped.keys() & late)}"
+    yield f"neither, in the log    {len(dropped.keys() - lost - late)}"
     same = (folder / "live.dgs").read_bytes() == (folder / "after.dgs").read_bytes()
     yield f"bytes              {'those of' if same else 'NOT those of'} an encode afterwards"
 
