@@ -350,6 +350,10 @@ def test_nobody_at_the_address(tmp_path: Path) -> None:
     [
         ("gopher://127.0.0.1/", "gopher:// is not read; give an address of rtsp"),
         ("file:///etc/passwd", "file:// is not read"),
+        ("rtsp://", "the address has no host, or no port; write it as rtsp://HOST:PORT"),
+        ("rtsp://[::1/live", "the address has no host"),
+        ("udp://127.0.0.1", "the address has no host, or no port; write it as udp://HOST:PORT"),
+        ("tcp://127.0.0.1:99999", "the address has no host, or no port"),
         ("cam00.jpg", "is no video, no address, and has not one place"),
     ],
 )
