@@ -331,6 +331,22 @@ def test_mpegts_over_tcp(tmp_path: Path) -> None:
     assert found.moments == [[begin + frame] for frame in range(10)]
 
 
+def test_mpegts_over_udp(tmp_path: Path) -> None:
+    video, port = Recorded("mpegts", 120), free_port()
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for begin, end in pairwise(video.upto):
+                for at in range(begin, end, 1316):  # seven packets of the transport stream, as is usual
+                    sender.sendto(video.data[at : min(at + 1316, end)], ("127.0.0.1", port))
+                time.sleep(1 / FPS)
+
+    threading.Thread(target=send, daemon=True).start()
+    found = read(write_sources(tmp_path, {"cam00": f"udp://127.0.0.1:{port}"}), 10)
+    begin = found.moments[0][0]
+    assert found.moments == [[begin + frame] for frame in range(10)]
+
+
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as server:
         return int(server.getsockname()[1])
