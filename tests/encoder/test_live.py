@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import shutil
 import signal
@@ -176,7 +177,11 @@ def test_the_pipe(tmp_path: Path, sources: Path, moving_rig: Path, moving: Any) 
     with (
         subprocess.Popen([COMMANDS / "decogs-encode", *live], stdout=subprocess.PIPE) as encoder,
         subprocess.Popen(
-            [COMMANDS / "decogs-view", "-", "--no-browser"], stdin=encoder.stdout, stdout=subprocess.PIPE, text=True
+            [COMMANDS / "decogs-view", "-", "--no-browser"],
+            stdin=encoder.stdout,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "TMPDIR": str(tmp_path)},  # it is killed, and removes nothing
         ) as viewer,
     ):
         try:
