@@ -60,7 +60,7 @@ def test_floor_and_wall_are_where_they_are(grey: Path, stage: PlainStage) -> Non
 
 def test_no_wall_stands_before_a_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cameras in an arc before a wall that is nearer to what they look at than they are."""
-    monkeypatch.setattr(backdrop, "_MIN_ARC_DEGREES", 0.0)
+    monkeypatch.setattr(backdrop, "_MIN_SPAN_DEGREES", 0.0)
     middle = np.array([0, 2.5, 1.0])
     arc = [
         looking_at(middle, name, [2.5 * np.sin(angle), -2, 1.2])
