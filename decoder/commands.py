@@ -368,8 +368,8 @@ def _view(options: argparse.Namespace) -> None:
 
     idle = DEFAULT_IDLE if options.idle is None else options.idle
     browser = False if options.no_browser else None
-    # From the moment the address is out, Ctrl-C is how it ends.
     stream = standard_input() if options.stream == "-" else options.stream
+    # From the moment the address is out, Ctrl-C is how it ends.
     with (
         view(stream, port=options.port, follow=options.follow, idle=idle, browser=browser, rig=options.rig) as served,
         suppress(KeyboardInterrupt),
@@ -387,7 +387,7 @@ def _write_site(options: argparse.Namespace) -> None:
         raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
     with progress("writing", "MB", quiet=options.quiet) as on_megabytes:
         report = write_site(
-            _file(options.stream), options.output, overwrite=options.overwrite, on_megabytes=on_megabytes
+            whole_file(options.stream), options.output, overwrite=options.overwrite, on_megabytes=on_megabytes
         )
     print_text(f"{printable(options.output)}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
 

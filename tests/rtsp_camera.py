@@ -37,7 +37,7 @@ def coded(pictures: Iterable[np.ndarray], fps: int) -> list[list[bytes]]:
                 "tune": "zerolatency",
                 "qp": "4",
                 "g": "1",
-                "x264-params": "repeat-headers=1:sliced-threads=0",
+                "x264-params": "repeat-headers=1:threads=1",
             }
         frame.pict_type = 1
         (packet,) = encoder.encode(frame)

@@ -123,11 +123,18 @@ class SendingCamera:
 
 def check_address(address: str, where: str) -> None:
     """Raises RigError for an address that nothing is read from here; ``where`` says which file has it."""
-    scheme = urlsplit(address).scheme
+    scheme = address.partition(":")[0]
     if scheme not in SCHEMES:
         raise RigError(
             f"{where}: {scheme}:// is not read; give an address of {', '.join(SCHEMES)}, a file or a pattern"
         )
+    try:
+        parts = urlsplit(address)
+        is_whole = bool(parts.hostname) and (parts.port is not None or scheme in _RTSP)
+    except ValueError:
+        is_whole = False
+    if not is_whole:
+        raise RigError(f"{where}: the address has no host, or no port; write it as {scheme}://HOST:PORT")
     if scheme == "srt" and not _has_srt():
         raise RigError(
             f"{where}: this FFmpeg (of PyAV) was built without SRT; pass the camera on by udp, "

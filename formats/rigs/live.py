@@ -13,7 +13,7 @@ import math
 import os
 import re
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from .fields import Fields, read_toml
 from .in_step import in_step
 from .rig import Rig, assemble_rig
 from .sender_times import SharedClock
+from .sources import FrameSource
 from .video_feed import Connection, VideoFeed
 
 LAYOUT = "live"
@@ -117,7 +118,6 @@ class LiveSource:
             for index in frames:
                 yield follower.next(index * self.recording.every)
         finally:
-            self.recording.feeds.pop(self.camera.name, None)
             follower.feed.close()
 
 
@@ -152,6 +152,8 @@ class _Follower:
         later = frame + max(1, round(recording.late * recording.fps))
         while (picture := feed.take(frame)) is None:
             now = time.monotonic()
+            if recording.feeds.get(name) is not feed:
+                raise RecordingEnded(f"{self._source.path}: nobody waits for it any more")
             if self._last is not None and (feed.is_over(frame) or recording.has(frame, but=name)):
                 due = now + patience if due is None else due
                 if now >= due or feed.is_over(frame) or recording.has(later, but=name):
@@ -219,6 +221,13 @@ def dropped_in(rig: Rig, index: int) -> dict[str, str]:
     """Of a live rig's frame that was read, each camera without a picture of it, and why; told once."""
     recording = next((source.recording for source in rig.sources if isinstance(source, LiveSource)), None)
     return {} if recording is None else recording.dropped.pop(index * recording.every, {})
+
+
+def stop_waiting(sources: Iterable[FrameSource]) -> None:
+    """Ends what is being read of live sources, at once; they may be read again."""
+    for source in sources:
+        if isinstance(source, LiveSource):
+            source.recording.feeds.pop(source.camera.name, None)
 
 
 def _every(fields: Fields, fps: float, seconds_per_frame: float | None) -> int:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ from decogs.decoder.following import follow_stream
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.presets import PRESETS
-from decogs.formats.errors import RigError
+from decogs.formats.errors import RigError, StreamError
 from decogs.formats.rigs import open_live, open_rig, read_frames
 from encode_rig import encode_rig
 
@@ -175,7 +177,11 @@ def test_the_pipe(tmp_path: Path, sources: Path, moving_rig: Path, moving: Any) 
     with (
         subprocess.Popen([COMMANDS / "decogs-encode", *live], stdout=subprocess.PIPE) as encoder,
         subprocess.Popen(
-            [COMMANDS / "decogs-view", "-", "--no-browser"], stdin=encoder.stdout, stdout=subprocess.PIPE, text=True
+            [COMMANDS / "decogs-view", "-", "--no-browser"],
+            stdin=encoder.stdout,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "TMPDIR": str(tmp_path)},  # it is killed, and removes nothing
         ) as viewer,
     ):
         try:
@@ -193,6 +199,29 @@ def test_the_pipe(tmp_path: Path, sources: Path, moving_rig: Path, moving: Any) 
     assert encode_main([str(moving_rig), "-o", str(tmp_path / "after.dgs"), *options, *as_preset]) == 0
     assert late == (tmp_path / "after.dgs").read_bytes()
     assert late.startswith(early)
+
+
+def test_ctrl_c_ends_the_wait_for_the_next_frame(tmp_path: Path, sources: Path, moving_rig: Path, moving: Any) -> None:
+    """The stream is whole at once, and so is the command, though ten minutes were to be waited."""
+    sources.write_text(sources.read_text().replace("end = 60", "end = 600"))
+    copied(moving_rig, tmp_path / "capture", range(2))
+    output = tmp_path / "live.dgs"
+    options = ["--preset", "live", "--quiet", "--keyframe", str(moving.path), "--holdout", "cam02", "-o", str(output)]
+    with subprocess.Popen(
+        [COMMANDS / "decogs-encode", "--live", sources, *options],
+        stdout=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as encoder:
+        try:
+            end = time.monotonic() + 60
+            part = output.with_name("live.dgs.part")
+            while (not part.exists() or frames_of(part.read_bytes()) < 2) and time.monotonic() < end:
+                time.sleep(0.05)
+            encoder.send_signal(signal.SIGINT)
+            assert encoder.wait(60) == 130
+        finally:
+            encoder.kill()
+    assert frames_of(output.read_bytes()) == 2
 
 
 def copied(rig: Path, capture: Path, frames: range) -> None:
@@ -216,8 +245,10 @@ def served(url: str, enough: Callable[[bytes], bool]) -> bytes:
 
 
 def frames_of(data: bytes) -> int:
-    with follow_stream(io.BytesIO(data)) as stream:
+    """How many frames the beginning of a stream has."""
+    with suppress(StreamError), follow_stream(io.BytesIO(data)) as stream:
         return sum(1 for _ in stream.frames())
+    return 0
 
 
 @pytest.mark.parametrize(

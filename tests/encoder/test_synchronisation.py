@@ -358,7 +358,7 @@ def test_a_clock_that_runs_apart_is_named_by_what_moves(tmp_path: Path, monkeypa
 
 
 def test_a_clock_that_runs_apart_is_named_by_what_is_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing moves; a camera is fast by 2 in 1000, 1.1 frames from end to end. Six seconds are listened to at either."""
+    """Nothing moves; a camera is fast by 2 in 1000, 1.1 frames from end to end. Of six seconds each."""
     monkeypatch.setattr(drift, "MIN_SECONDS", 20.0)
     monkeypatch.setattr(drift, "_LISTENED", 6.0)
     cameras, rng, seconds, fast = ring(), np.random.default_rng(3), 25, 2e-3

@@ -331,6 +331,22 @@ def test_mpegts_over_tcp(tmp_path: Path) -> None:
     assert found.moments == [[begin + frame] for frame in range(10)]
 
 
+def test_mpegts_over_udp(tmp_path: Path) -> None:
+    video, port = Recorded("mpegts", 120), free_port()
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for begin, end in pairwise(video.upto):
+                for at in range(begin, end, 1316):  # seven packets of the transport stream, as is usual
+                    sender.sendto(video.data[at : min(at + 1316, end)], ("127.0.0.1", port))
+                time.sleep(1 / FPS)
+
+    threading.Thread(target=send, daemon=True).start()
+    found = read(write_sources(tmp_path, {"cam00": f"udp://127.0.0.1:{port}"}), 10)
+    begin = found.moments[0][0]
+    assert found.moments == [[begin + frame] for frame in range(10)]
+
+
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as server:
         return int(server.getsockname()[1])
@@ -350,6 +366,10 @@ def test_nobody_at_the_address(tmp_path: Path) -> None:
     [
         ("gopher://127.0.0.1/", "gopher:// is not read; give an address of rtsp"),
         ("file:///etc/passwd", "file:// is not read"),
+        ("rtsp://", "the address has no host, or no port; write it as rtsp://HOST:PORT"),
+        ("rtsp://[::1/live", "the address has no host"),
+        ("udp://127.0.0.1", "the address has no host, or no port; write it as udp://HOST:PORT"),
+        ("tcp://127.0.0.1:99999", "the address has no host, or no port"),
         ("cam00.jpg", "is no video, no address, and has not one place"),
     ],
 )

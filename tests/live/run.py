@@ -46,9 +46,9 @@ class Faults:
     damaged: set[tuple[int, str]]
 
     @property
-    def dropped(self) -> set[tuple[int, str]]:
-        """Those that the encoder cannot have."""
-        return self.missing | self.damaged | {key for key, seconds in self.late.items() if seconds > LATE}
+    def lost(self) -> set[tuple[int, str]]:
+        """Those that the encoder cannot have; one that is late may be there by the time it is asked for."""
+        return self.missing | self.damaged
 
 
 @dataclass
@@ -67,6 +67,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=500)
     parser.add_argument("--scale", default="0.5")
     parser.add_argument("--preset", default="live")
+    parser.add_argument("--time-budget", help="of a frame, as decogs-encode has it; bytes then depend on the machine")
     parser.add_argument("-o", "--output", type=Path, required=True)
     options = parser.parse_args()
     folder: Path = options.output
@@ -78,16 +79,22 @@ def main() -> None:
     first = folder / "first.dgs"
     run("decogs-encode", options.rig, "--frames", ":1", "-o", first, *given)
     given += ["--keyframe", str(first)]
-    seen = record(folder, names, order, faults, options, given)
+    timed = [] if options.time_budget is None else ["--time-budget", options.time_budget]
+    seen = record(folder, names, order, faults, options, [*given, *timed])
     log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     frames = [record for record in log if record["event"] == "frame"]
     dropped = {(record["frame"], name): why for record in frames for name, why in record["dropped"].items()}
+    for line in figures(seen, frames, faults, dropped):
+        print(line)
+    if timed:
+        return
     calibration = options.rig / "poses_bounds.npy"
     same_pictures(folder, names, order, dropped, len(frames), calibration)
     rig = replace(open_rig(folder / "after"), fps=options.fps)  # which a folder of pictures does not state
     job = EncodeJob(rig, folder / "after.dgs", options.preset, effects=EFFECTS, keyframe=str(first))
     encode(replace(job, scale=float(options.scale)))
-    report(seen, frames, faults, dropped, folder)
+    same = (folder / "live.dgs").read_bytes() == (folder / "after.dgs").read_bytes()
+    print(f"bytes              {'those of' if same else 'NOT those of'} an encode afterwards")
 
 
 def run(command: str, *arguments: object) -> None:
@@ -207,29 +214,25 @@ def same_pictures(
     shutil.copy(calibration, folder / "after")
 
 
-def report(seen: Seen, frames: list[dict], faults: Faults, dropped: dict[tuple[int, str], str], folder: Path) -> None:
-    for line in report_lines(seen, frames, faults, dropped, folder):
-        print(line)
-
-
-def report_lines(
-    seen: Seen, frames: list[dict], faults: Faults, dropped: dict[tuple[int, str], str], folder: Path
-) -> Iterator[str]:
+def figures(seen: Seen, frames: list[dict], faults: Faults, dropped: dict[tuple[int, str], str]) -> Iterator[str]:
+    """What is printed, line by line; ages in seconds of the recording's frames that were encoded."""
     ages = np.array([seen.written[frame] - seen.recorded[frame] for frame in sorted(seen.written) if frame])
     yield f"frames             {len(frames)}"
     middle, most = np.quantile(ages, [0.5, 0.95])
     yield f"age of a packet    median {middle:.2f}, 95 % {most:.2f}, worst {ages.max():.2f} s"
     spent = [record["cpu_seconds"] for record in frames[1:]]
+    untrained = sum(record["kind"] == "skip" for record in frames)
+    yield f"left as they were  {untrained} frames"
     yield f"CPU of a frame     mean {np.mean(spent):.2f} s"
     places = [frame for frame in (20, 100, 200, 300, 400, len(frames) - 1) if frame in seen.memory]
     yield "memory             " + ", ".join(f"{seen.memory[at] / 2**20:.0f} MB at {at}" for at in places)
-    injected = faults.dropped
+    lost, late = faults.lost, faults.late.keys()
     counts = f"{len(faults.missing)} missing, {len(faults.damaged)} damaged, {len(faults.late)} late"
-    yield f"faults             {counts}; {len(injected)} pictures that cannot be had"
-    yield f"not in the log     {len(injected - dropped.keys())}"
-    yield f"in the log besides {len(dropped.keys() - injected)}"
-    same = (folder / "live.dgs").read_bytes() == (folder / "after.dgs").read_bytes()
-    yield f"bytes              {'those of' if same else 'NOT those of'} an encode afterwards"
+    too_late = sum(seconds > LATE for seconds in faults.late.values())
+    yield f"faults             {counts}, {too_late} of them by more than was to be waited"
+    yield f"lost, not in the log   {len(lost - dropped.keys())} of {len(lost)}"
+    yield f"late, in the log       {len(dropped.keys() & late)}"
+    yield f"neither, in the log    {len(dropped.keys() - lost - late)}"
 
 
 if __name__ == "__main__":
