@@ -6,10 +6,10 @@
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
-import { lookedAt, extentOf } from "../controls/looked_at";
+import { lookedAt, extentOf } from "../camera/looked_at";
 import type { Panels } from "../controls/panels";
-import { attachPointer } from "../controls/pointer";
-import { upOf } from "../controls/up_direction";
+import { attachPointer } from "../camera/pointer";
+import { upOf } from "../camera/up_direction";
 import { createRenderer } from "../draw/index";
 import { ExactCanvas } from "../draw/exact_canvas";
 import { startRecorded } from "../draw/recorded";

@@ -2,7 +2,7 @@
  * What is in the picture: the renderer, the camera that a person moves, and when to draw. Nothing is drawn while nothing
  * changes. On a slow GPU, pictures are smaller while they change, and whole as soon as they rest.
  */
-import { Navigation } from "../controls/navigation";
+import { Navigation } from "../camera/navigation";
 import type { Overlay, Renderer } from "../draw/renderer";
 import { fittedLens, worldToCamera, type PinholeCamera } from "../geometry/poses";
 import { asItStood, recordingOf } from "../geometry/recorded";
