@@ -5,7 +5,7 @@
  * worker answers with what to upload and in which order to draw. Messages are answered in their order, so that an order
  * always belongs to the frame sent last.
  */
-import type { PinholeCamera } from "./geometry/poses";
+import type { PinholeCamera } from "./geometry/camera";
 import type { CameraCorrection, FrameKind, StreamHeader } from "./scene";
 
 /** Depth of a point along the view: x, y, z weights and an offset, the last row of world-to-camera. */

@@ -4,7 +4,8 @@
  * A camera of the rig is shown as it stands, tilted if it is; as soon as one circles the pivot the horizon levels.
  * Movements glide to rest. `step` is called once a picture.
  */
-import type { Lens, Pose } from "../geometry/poses";
+import type { Lens } from "../geometry/camera";
+import type { Pose } from "../geometry/poses";
 import { lookingAxes } from "../geometry/poses";
 import {
   applied,

@@ -1,5 +1,6 @@
 /** A camera as text: a pose file for `decogs-decode --camera` (docs/free-cameras.md), and the end of a link. */
-import type { Lens, Pose, PinholeCamera } from "../geometry/poses";
+import type { Lens, PinholeCamera } from "../geometry/camera";
+import type { Pose } from "../geometry/poses";
 import { cross, dot, length, unit, type Vector } from "../geometry/vectors";
 
 export function poseFile(camera: PinholeCamera): string {

@@ -1,5 +1,5 @@
 /** What draws a scene: WebGL2 here, the decoder's own kernel elsewhere. The element knows no more of either. */
-import type { PinholeCamera } from "../geometry/poses";
+import type { PinholeCamera } from "../geometry/camera";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
 import type { StreamHeader } from "../scene";
 

@@ -1,5 +1,5 @@
 /** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background, if any, behind them. */
-import type { PinholeCamera } from "../geometry/poses";
+import type { PinholeCamera } from "../geometry/camera";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Accumulation } from "./accumulation";

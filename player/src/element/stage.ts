@@ -4,7 +4,8 @@
  */
 import { Navigation } from "../camera/navigation";
 import type { Overlay, Renderer } from "../draw/renderer";
-import { fittedLens, worldToCamera, type PinholeCamera } from "../geometry/poses";
+import type { PinholeCamera } from "../geometry/camera";
+import { fittedLens, worldToCamera } from "../geometry/poses";
 import { asItStood, recordingOf } from "../geometry/recorded";
 import type { DepthRow, DrawOrder, SceneUpdate } from "../messages";
 import type { CameraCorrection, RigCamera } from "../scene";

@@ -1,5 +1,5 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
-import type { PinholeCamera } from "../geometry/poses";
+import type { PinholeCamera } from "../geometry/camera";
 import type { SceneFrame, SceneStream } from "../scene";
 import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
 import type { ExactRenderer } from "../exact/renderer";
