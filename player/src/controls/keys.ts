@@ -1,5 +1,5 @@
 /** What keys do. The help panel is made from the same table, so that it cannot say anything else. */
-import type { DecogsPlayer } from "../element/player";
+import type { PlayerApi } from "../player_api";
 import type { Vector } from "../geometry/vectors";
 import type { Panels } from "./panels";
 
@@ -7,7 +7,7 @@ interface KeyAction {
   readonly keys: readonly string[];
   readonly shown: string;
   readonly text: string;
-  readonly act: (player: DecogsPlayer, panels: Panels, event: KeyboardEvent) => void;
+  readonly act: (player: PlayerApi, panels: Panels, event: KeyboardEvent) => void;
 }
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -84,10 +84,10 @@ const FLIGHT: ReadonlyMap<string, Vector> = new Map<string, Vector>([
   ["KeyQ", [0, -1, 0]],
 ]);
 
-const held = new WeakMap<DecogsPlayer, Set<string>>();
+const held = new WeakMap<PlayerApi, Set<string>>();
 
 /** Does what a key asks for; whether it asked for anything. */
-export function looksInto(player: DecogsPlayer, panels: Panels, event: KeyboardEvent): boolean {
+export function looksInto(player: PlayerApi, panels: Panels, event: KeyboardEvent): boolean {
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   if (FLIGHT.has(event.code)) return fly(player, event);
   if (event.type !== "keydown" || inField(event)) return false;
@@ -97,7 +97,7 @@ export function looksInto(player: DecogsPlayer, panels: Panels, event: KeyboardE
   return true;
 }
 
-function fly(player: DecogsPlayer, event: KeyboardEvent): boolean {
+function fly(player: PlayerApi, event: KeyboardEvent): boolean {
   const keys = held.get(player) ?? new Set<string>();
   held.set(player, keys);
   if (event.type === "keydown" && !inField(event)) keys.add(event.code);
@@ -105,17 +105,16 @@ function fly(player: DecogsPlayer, event: KeyboardEvent): boolean {
   const sum: [number, number, number] = [0, 0, 0];
   const speed = event.shiftKey ? 3 : 1;
   for (const key of keys) for (const axis of [0, 1, 2] as const) sum[axis] += speed * FLIGHT.get(key)![axis];
-  if (player.stage !== null) player.stage.navigation.flight = sum;
-  player.cameraMoved();
+  player.fly(sum);
   return true;
 }
 
 /** Forgets keys whose release another window has seen. */
-export function forgetKeys(player: DecogsPlayer): void {
+export function forgetKeys(player: PlayerApi): void {
   held.delete(player);
 }
 
-function stepFrame(player: DecogsPlayer, direction: -1 | 1, toKeyframe: boolean): void {
+function stepFrame(player: PlayerApi, direction: -1 | 1, toKeyframe: boolean): void {
   player.pause();
   const at = player.currentFrame;
   player.currentFrame = toKeyframe ? player.frames.keyframe(at, direction) : at + direction;

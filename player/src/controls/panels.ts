@@ -1,6 +1,5 @@
 /** The controls over the picture: the bar, its menu, help, figures and notices. They act through the player alone. */
-import type { Overlay } from "../draw/renderer";
-import type { DecogsPlayer } from "../element/player";
+import type { Overlay, PlayerApi } from "../player_api";
 import { cameraToLink, poseFile } from "./camera_text";
 import { cameraNote } from "./camera_note";
 import { Comparison } from "./comparison";
@@ -40,7 +39,7 @@ export class Panels {
   private legendOf: Overlay = "none";
 
   constructor(
-    private readonly player: DecogsPlayer,
+    private readonly player: PlayerApi,
     private readonly root: ShadowRoot,
   ) {
     const holder = document.createElement("div");
@@ -263,11 +262,10 @@ export class Panels {
   }
 
   private async copyLink(): Promise<void> {
-    const { stage, currentFrame } = this.player;
-    if (stage === null) return;
-    const { pose, lens } = stage.navigation;
+    const { view, currentFrame } = this.player;
+    if (view === null) return;
     const address = new URL(location.href);
-    address.hash = `camera=${cameraToLink(pose, lens)}&frame=${currentFrame}`;
+    address.hash = `camera=${cameraToLink(view.pose, view.lens)}&frame=${currentFrame}`;
     await this.copy(address.href, "Copied: a link to this view and frame");
   }
 

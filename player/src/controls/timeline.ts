@@ -2,7 +2,7 @@
  * The timeline: a bar for every frame, as high as its packet is long (on a logarithmic scale), keyframes in colour: a
  * stream's life at a glance, and the slider to move in it. PSNR is a line over it where the stream tells it.
  */
-import type { DecogsPlayer } from "../element/player";
+import type { PlayerApi } from "../player_api";
 import { bytesText, timeText } from "./time_text";
 
 const SMALLEST_PACKET = 24;
@@ -16,7 +16,7 @@ export class Timeline {
   private hovered = -1;
 
   constructor(
-    private readonly player: DecogsPlayer,
+    private readonly player: PlayerApi,
     private readonly track: HTMLElement,
   ) {
     this.tip.className = "tip";

@@ -1,10 +1,8 @@
 /** What draws a scene: WebGL2 here, the decoder's own kernel elsewhere. The element knows no more of either. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
+import type { Overlay } from "../player_api";
 import type { StreamHeader } from "../scene";
-
-/** What of the stream's knowledge is painted over the scene. */
-export type Overlay = "none" | "changes" | "motion";
 
 export interface DrawTimes {
   /** Of the frame's textures; of the order; until the picture was there, as far as that can be known. */

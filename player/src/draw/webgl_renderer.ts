@@ -1,11 +1,12 @@
 /** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background, if any, behind them. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
+import type { Overlay } from "../player_api";
 import type { StreamHeader } from "../scene";
 import { Accumulation } from "./accumulation";
 import { GpuClock } from "./gpu_clock";
 import { linked, type Program } from "./program";
-import type { DrawTimes, Overlay, Renderer } from "./renderer";
+import type { DrawTimes, Renderer } from "./renderer";
 import { SceneTextures } from "./scene_textures";
 import { recordedPass } from "./recorded";
 import type { RecordedPass } from "./recorded_pass";

@@ -3,11 +3,12 @@
  * changes. On a slow GPU, pictures are smaller while they change, and whole as soon as they rest.
  */
 import { Navigation } from "../camera/navigation";
-import type { Overlay, Renderer } from "../draw/renderer";
+import type { Renderer } from "../draw/renderer";
 import type { PinholeCamera } from "../geometry/camera";
 import { fittedLens, worldToCamera } from "../geometry/poses";
 import { asItStood, recordingOf } from "../geometry/recorded";
 import type { DepthRow, DrawOrder, SceneUpdate } from "../messages";
+import type { Overlay } from "../player_api";
 import type { CameraCorrection, RigCamera } from "../scene";
 
 const SLOW_MS = 45;
@@ -34,6 +35,7 @@ export class Stage {
   private count = 0;
   private asked: DepthRow | null = null;
   private serial = 0;
+  private disposed = false;
   private answered = 0;
   /** Orders up to this one were asked for before the scene had a camera. */
   private outdated = 0;
@@ -115,11 +117,19 @@ export class Stage {
     return true;
   }
 
+  /** Whoever waits for a picture waits no longer. */
+  dispose(): void {
+    this.disposed = true;
+  }
+
   /** A picture of the present view of so many pixels, as PNG. */
   async capture(width: number, height: number): Promise<Blob> {
     const { renderer } = this;
     this.look();
-    while (this.answered < this.serial) await new Promise((done) => setTimeout(done, 5));
+    while (this.answered < this.serial) {
+      if (this.disposed) throw new Error("the player has left the page");
+      await new Promise((done) => setTimeout(done, 5));
+    }
     renderer.draw(this.camera(width, height), this.overlay);
     await renderer.settled?.();
     const blob = new Promise<Blob | null>((done) => {

@@ -10,11 +10,11 @@ after(() => browser.close());
 const state = (page) =>
   page.evaluate(() => {
     const player = document.querySelector("decogs-player");
-    const { pose, pivot, up } = player.stage.navigation;
+    const { pose, pivot, up } = player[Symbol.for("decogs.inside")].stage.navigation;
     return { axes: pose.axes, centre: pose.centre, pivot, up, camera: player.camera, frame: player.currentFrame };
   });
 const distance = (a, b) => Math.hypot(...a.map((value, i) => value - b[i]));
-const rested = (page) => until(page, "!player.stage.pending && !player.stage.renderer.busy");
+const rested = (page) => until(page, "!inside.stage.pending && !inside.stage.renderer.busy");
 
 async function dragged(page, right, down, button = "left") {
   await page.mouse.move(300, 120);
@@ -158,7 +158,7 @@ test("nothing is drawn while nothing changes", async () => {
   await ready(page);
   await rested(page);
   await page.waitForTimeout(500);
-  const drawn = () => page.evaluate(() => document.querySelector("decogs-player").ticking);
+  const drawn = () => page.evaluate(() => document.querySelector("decogs-player")[Symbol.for("decogs.inside")].ticking);
   assert.equal(await drawn(), 0);
   await page.context().close();
 });
@@ -212,7 +212,7 @@ test("the recorded picture lies left of a line, as large as the camera's, and fo
   await until(page, `player.camera === 'barrel' && ${shown}`);
   // That of the camera before does not lie over this one's view while its own is on its way.
   await page.keyboard.press("]");
-  await until(page, "player.camera === 'fisheye' && !player.stage.navigation.jumping");
+  await until(page, "player.camera === 'fisheye' && !inside.stage.navigation.jumping");
   await until(page, "player.shadowRoot.querySelector('.recording img').hidden", 1500);
   await until(page, `player.camera === 'fisheye' && ${shown}`);
   assert.equal((await seen()).address, "/recorded/fisheye/1.jpg");

@@ -32,10 +32,13 @@ export async function started(folders = {}) {
   };
 }
 
-/** Waits until something holds of the player: an expression in `player`. */
+/** Waits until something holds of the player: an expression in `player`, and in what is `inside` it (element/player.ts). */
 export function until(page, condition, timeout = 30_000) {
   return page.waitForFunction(
-    (text) => new Function("player", `return ${text}`)(document.querySelector("decogs-player")),
+    (text) => {
+      const player = document.querySelector("decogs-player");
+      return new Function("player", "inside", `return ${text}`)(player, player?.[Symbol.for("decogs.inside")]);
+    },
     condition,
     { timeout, polling: 50 },
   );

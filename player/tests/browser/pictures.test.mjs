@@ -65,7 +65,7 @@ test("a link shows the same view", async () => {
   const here = await picture(page, 200, 150);
   const link = await page.evaluate(async () => {
     const { cameraToLink } = await import("/page/decogs-player.js");
-    const { pose, lens } = document.querySelector("decogs-player").stage.navigation;
+    const { pose, lens } = document.querySelector("decogs-player").view;
     return `#camera=${cameraToLink(pose, lens)}&frame=2`;
   });
   const other = await browser.opened("degree2", { query: link });

@@ -110,7 +110,7 @@ test("a growing file is followed to its end", async () => {
   await show(page, 61);
   await agrees(page, 61);
   appendFileSync(path, whole.subarray(ends[64]));
-  await until(page, "player.frames.count === 300 && player.playback.complete");
+  await until(page, "player.frames.count === 300 && inside.playback.complete");
   await show(page, 299);
   await agrees(page, 299);
   await page.context().close();
@@ -159,13 +159,13 @@ test("a lost WebGL context comes back with the same picture", async () => {
   await show(page, 7);
   await page.evaluate(async () => {
     const player = document.querySelector("decogs-player");
-    const extension = player.stage.renderer.canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+    const extension = player[Symbol.for("decogs.inside")].stage.renderer.canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
     extension.loseContext();
     await new Promise((done) => setTimeout(done, 200));
     extension.restoreContext();
     await new Promise((done) => setTimeout(done, 200));
   });
-  await until(page, "!player.stage.pending && !player.stage.renderer.busy");
+  await until(page, "!inside.stage.pending && !inside.stage.renderer.busy");
   await agrees(page, 7);
   await show(page, 61);
   await agrees(page, 61);

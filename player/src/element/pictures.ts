@@ -1,0 +1,112 @@
+/** The canvases of a player, what draws on them, and the poster over them. */
+import { attachPointer } from "../camera/pointer";
+import { ExactCanvas } from "../draw/exact_canvas";
+import { createRenderer } from "../draw/index";
+import type { Renderer } from "../draw/renderer";
+import type { PinholeCamera } from "../geometry/camera";
+import type { DepthRow, ExactPicture, TextureLayout } from "../messages";
+import type { StreamHeader } from "../scene";
+import { Stage, type LookedThrough } from "./stage";
+
+/** What pictures need of the worker and of the element. */
+export interface PicturesHost {
+  readonly size: () => { readonly width: number; readonly height: number };
+  /** The worker sorts; sends everything again; draws exactly. */
+  readonly sort: (depth: DepthRow, serial: number) => void;
+  readonly resend: () => void;
+  readonly drawExactly: (camera: PinholeCamera) => void;
+  readonly lookedThrough: () => LookedThrough | null;
+  readonly cameraMoved: () => void;
+}
+
+export class Pictures {
+  readonly stage: Stage;
+  readonly elements: readonly HTMLCanvasElement[];
+  readonly #canvas = canvasOf("picture");
+  /** It lies over the other one, which takes what the pointer does. */
+  readonly #exactCanvas = canvasOf("picture exact");
+  /** null without WebGL2: then the kernel draws. */
+  readonly #fast: Renderer | null;
+  readonly #detachPointer: () => void;
+  #exactly: ExactCanvas | null = null;
+  #begun: { readonly layout: TextureLayout; readonly header: StreamHeader } | null = null;
+
+  constructor(
+    private readonly host: PicturesHost,
+    exact: boolean,
+  ) {
+    this.elements = [this.#canvas, this.#exactCanvas];
+    this.#fast = fastRenderer(this.#canvas, host.resend);
+    this.stage = new Stage(this.#rightRenderer(exact), host.size, host.sort, host.lookedThrough);
+    this.stage.navigation.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.#detachPointer = attachPointer(this.#canvas, this.stage.navigation, host.cameraMoved);
+  }
+
+  get canChooseExact(): boolean {
+    return this.#fast !== null;
+  }
+
+  get exact(): boolean {
+    return this.stage.renderer === this.#exactly;
+  }
+
+  /** What draws from now on begins with the whole frame. Whether another one does. */
+  chooseExact(exact: boolean): boolean {
+    const renderer = this.#rightRenderer(exact);
+    if (renderer === this.stage.renderer) return false;
+    this.stage.renderer = renderer;
+    if (this.#begun !== null) renderer.begin(this.#begun.layout, this.#begun.header);
+    this.host.resend();
+    this.stage.touch();
+    return true;
+  }
+
+  begin(layout: TextureLayout, header: StreamHeader): void {
+    this.#begun = { layout, header };
+    this.stage.renderer.begin(layout, header);
+  }
+
+  /** A subject lies over the page, or over a colour; null: none was named. */
+  layBehind(background: string | null): void {
+    const clear = this.#begun?.header.subject ?? background !== null;
+    for (const canvas of this.elements) {
+      canvas.classList.toggle("clear", clear);
+      canvas.style.backgroundColor = clear ? (background ?? "") : "";
+    }
+  }
+
+  exactlyDrawn(picture: ExactPicture | null): void {
+    if (picture === null) this.#exactly?.failed();
+    else this.#exactly?.show(picture);
+  }
+
+  dispose(): void {
+    this.#detachPointer();
+    this.stage.dispose();
+    this.#fast?.dispose();
+    this.#exactly?.dispose();
+    for (const canvas of this.elements) canvas.remove();
+  }
+
+  #rightRenderer(wanted: boolean): Renderer {
+    const exact = this.#fast === null || wanted;
+    this.#exactCanvas.hidden = !exact;
+    this.#canvas.style.opacity = exact ? "0" : ""; // the other one may be transparent
+    if (!exact) return this.#fast;
+    return (this.#exactly ??= new ExactCanvas(this.#exactCanvas, this.host.drawExactly));
+  }
+}
+
+function canvasOf(className: string): HTMLCanvasElement {
+  const canvas = document.createElement("canvas");
+  canvas.className = className;
+  return canvas;
+}
+
+function fastRenderer(canvas: HTMLCanvasElement, onRestored: () => void): Renderer | null {
+  try {
+    return createRenderer(canvas, onRestored);
+  } catch {
+    return null;
+  }
+}
