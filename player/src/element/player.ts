@@ -22,6 +22,14 @@ import style from "./style.css";
 
 const LONGEST_STEP = 0.1;
 
+/** What an element that left the page takes up again. */
+interface Left {
+  readonly source: string;
+  readonly frame: number;
+  readonly camera: string;
+  readonly view: View | null;
+}
+
 /** Where the project's own tests look inside; nothing of it is promised to anybody. */
 const INSIDE = Symbol.for("decogs.inside");
 
@@ -53,6 +61,10 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   #cameras: RigCameras | null = null;
   /** What to look at when the next stream has come. */
   #startView: View | null = null;
+  /** The address of the stream that is open or was open last. */
+  #source = "";
+  /** Where it stood when the element left the page. */
+  #left: Left | null = null;
   #comparing = false;
   #pausedByHiding = false;
   #ticking = 0;
@@ -69,6 +81,15 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     this.#poster.className = "poster";
     this.#poster.alt = "";
     this.#root.append(sheet, this.#poster);
+    for (const name of ["keydown", "keyup"] as const) {
+      this.addEventListener(name, (event) => {
+        this.#late.key(event);
+      });
+    }
+    this.addEventListener("blur", () => {
+      this.#late.forgetKeys();
+      if (this.#pictures !== null) this.#pictures.stage.navigation.flight = [0, 0, 0];
+    });
   }
 
   connectedCallback(): void {
@@ -77,22 +98,16 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (!this.hasAttribute("aria-label")) this.setAttribute("aria-label", "Free-viewpoint video");
     this.#resized.observe(this);
     document.addEventListener("visibilitychange", this.#visibilityChanged);
-    this.addEventListener("keydown", this.#key);
-    this.addEventListener("keyup", this.#key);
-    this.addEventListener("blur", this.#keysLeft);
-    this.#open();
+    if (this.#pictures === null || this.#source !== this.#address) this.#open();
   }
 
+  /** An element that is moved in the page is put in again at once: then everything goes on. */
   disconnectedCallback(): void {
     this.#resized.disconnect();
     document.removeEventListener("visibilitychange", this.#visibilityChanged);
-    this.removeEventListener("keydown", this.#key);
-    this.removeEventListener("keyup", this.#key);
-    this.removeEventListener("blur", this.#keysLeft);
-    this.#close();
-    this.#late.rest();
-    this.#pictures?.dispose();
-    this.#pictures = null;
+    queueMicrotask(() => {
+      if (!this.isConnected) this.#leave();
+    });
   }
 
   attributeChangedCallback(name: string, before: string | null, value: string | null): void {
@@ -331,19 +346,36 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (waiting || flying) this.#wake();
   };
 
+  get #address(): string {
+    return this.src === "" ? "" : new URL(this.src, document.baseURI).href;
+  }
+
   #open(): void {
     this.#close();
-    if (this.src === "") {
+    this.#source = this.#address;
+    if (this.#source === "") {
       this.#late.start();
       return;
     }
+    if (this.#left?.source === this.#source) this.#session.start ??= { frame: this.#left.frame };
+    else this.#left = null;
     try {
       this.#pictures ??= this.#newPictures();
     } catch (error) {
       this.#session.fail(error instanceof Error ? error.message : String(error));
       return;
     }
-    this.#session.open(new URL(this.src, document.baseURI).href, this.hasAttribute("follow"), this.#pictures);
+    this.#session.open(this.#source, this.hasAttribute("follow"), this.#pictures);
+  }
+
+  /** Gives everything back that an element outside of the page does not need. */
+  #leave(): void {
+    const { header, view, currentFrame: frame, camera } = this;
+    if (header !== null) this.#left = { source: this.#source, frame, camera, view };
+    this.#close();
+    this.#late.rest();
+    this.#pictures?.dispose();
+    this.#pictures = null;
   }
 
   #close(): void {
@@ -382,10 +414,12 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     this.#pictures!.layBehind(this.getAttribute("background"));
     const cameras = new RigCameras(header, this.#pictures!.stage.navigation);
     this.#cameras = cameras;
-    const named = cameras.named(this.getAttribute("camera"));
+    const left = this.#left;
+    const named = cameras.named(left?.camera || this.getAttribute("camera"));
     this.lookThrough(named >= 0 ? named : cameras.first, true);
-    if (this.#startView !== null) this.lookFrom(this.#startView.pose, this.#startView.lens);
-    this.#startView = null;
+    const view = this.#startView ?? (left?.camera === "" ? left.view : null);
+    if (view !== null) this.lookFrom(view.pose, view.lens);
+    this.#startView = this.#left = null;
   }
 
   async #chooseRecorded(): Promise<void> {
@@ -438,14 +472,5 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
       this.pause();
       this.#pausedByHiding = true;
     } else if (this.#pausedByHiding) void this.play();
-  };
-
-  readonly #key = (event: KeyboardEvent): void => {
-    this.#late.key(event);
-  };
-
-  readonly #keysLeft = (): void => {
-    this.#late.forgetKeys();
-    if (this.#pictures !== null) this.#pictures.stage.navigation.flight = [0, 0, 0];
   };
 }
