@@ -126,6 +126,12 @@ export type FromWorker =
       readonly psnr: readonly (readonly [number, number])[];
       /** What is wrong with the stream as a whole. */
       readonly notices: readonly string[];
+      /** Why nothing comes, while that is tried again. */
+      readonly trouble: string | null;
+      /** Frames whose bytes are there. */
+      readonly buffered: readonly (readonly [number, number])[];
+      /** How much of what leads to the frame that is waited for has come, from 0 to 1; null when none is. */
+      readonly share: number | null;
     }
   | {
       readonly type: "frame";

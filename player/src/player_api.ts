@@ -37,6 +37,9 @@ export interface Figures {
   readonly bytesRead: number;
 }
 
+/** From one up to, not including, another. */
+export type Span = readonly [from: number, to: number];
+
 /** In the element, in CSS pixels. */
 export interface Place {
   readonly left: number;
@@ -57,6 +60,8 @@ export interface PlayerApi extends HTMLElement {
   /** Of the frame in the picture. */
   readonly info: FrameInfo | null;
   readonly frames: FrameList;
+  /** Frames whose bytes are there. */
+  readonly bufferedFrames: readonly Span[];
   readonly fps: number;
   /** Seconds of all frames known so far; NaN before `loadedmetadata`. */
   readonly duration: number;
@@ -83,6 +88,7 @@ export interface PlayerApi extends HTMLElement {
   readonly view: View | null;
   readonly figures: Figures | null;
 
+  /** Resolves once playing has begun; rejects with what is wrong. After an error it tries again. */
   play(): Promise<void>;
   pause(): void;
   /** The camera as it is now, in a picture as large as the element (or so many pixels). */

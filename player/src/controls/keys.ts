@@ -18,8 +18,7 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     shown: "Space",
     text: "play or pause",
     act: (player) => {
-      if (player.paused) void player.play();
-      else player.pause();
+      playOrPause(player);
     },
   },
   {
@@ -95,6 +94,12 @@ export function looksInto(player: PlayerApi, panels: Panels, event: KeyboardEven
   if (action === undefined) return false;
   action.act(player, panels, event);
   return true;
+}
+
+/** What goes wrong is in the notice. */
+export function playOrPause(player: PlayerApi): void {
+  if (player.paused) player.play().catch(() => undefined);
+  else player.pause();
 }
 
 function fly(player: PlayerApi, event: KeyboardEvent): boolean {

@@ -4,6 +4,7 @@ import { cameraToLink, poseFile } from "./camera_text";
 import { cameraNote } from "./camera_note";
 import { Comparison } from "./comparison";
 import { icon } from "./icons";
+import { playOrPause } from "./keys";
 import { markup } from "./markup";
 import style from "./style.css";
 import { Statistics } from "./statistics";
@@ -36,6 +37,7 @@ export class Panels {
   private noticeTimer = 0;
   private idleTimer = 0;
   private loadingTimer = 0;
+  private shownBusy = false;
   private legendOf: Overlay = "none";
 
   constructor(
@@ -70,7 +72,11 @@ export class Panels {
     if (this.player.comparing) this.comparison.refresh();
   }
 
-  loading(on: boolean): void {
+  /** `share`: how much of what is waited for is there, from 0 to 1; null: nobody knows. */
+  busy(on: boolean, share: number | null): void {
+    this.part(".percent").textContent = share === null ? "" : `${Math.floor(100 * share)} %`;
+    if (on === this.shownBusy) return;
+    this.shownBusy = on;
     clearTimeout(this.loadingTimer);
     const show = (): void => {
       this.part(".veil").hidden = !on;
@@ -130,12 +136,11 @@ export class Panels {
 
   private listen(): void {
     const { player } = this;
-    const playOrPause = (): void => {
-      if (player.paused) void player.play();
-      else player.pause();
-    };
-    this.part(".play").addEventListener("click", playOrPause);
-    this.part(".start").addEventListener("click", playOrPause);
+    for (const button of [".play", ".start"]) {
+      this.part(button).addEventListener("click", () => {
+        playOrPause(player);
+      });
+    }
     this.part(".shut").addEventListener("click", () => {
       this.toggleHelp();
     });

@@ -44,7 +44,7 @@ export class Timeline {
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [Math.round(track.clientWidth * ratio), Math.round(track.clientHeight * ratio)];
     const colours = getComputedStyle(track);
-    const state = [count, frame, width, height, player.frames.psnr.size, colours.color].join();
+    const state = [count, frame, width, height, player.frames.psnr.size, player.bufferedFrames, colours.color].join();
     if (state === this.drawnState || width === 0) return;
     this.drawnState = state;
     [canvas.width, canvas.height] = [width, height];
@@ -62,7 +62,7 @@ export class Timeline {
     ratio: number,
     colours: CSSStyleDeclaration,
   ): void {
-    const { frames, currentFrame } = this.player;
+    const { frames, currentFrame, bufferedFrames } = this.player;
     const { count } = frames;
     if (count === 0) return;
     const [ink, accent] = [colours.color, colours.getPropertyValue("--accent")];
@@ -76,6 +76,8 @@ export class Timeline {
     context.fillStyle = ink;
     context.globalAlpha = 0.18;
     context.fillRect(0, height - base, width, base);
+    context.globalAlpha = 0.3;
+    for (const [from, to] of bufferedFrames) context.fillRect((from / count) * width, height - base, ((to - from) / count) * width, base);
     context.globalAlpha = 0.6;
     context.fillRect(0, height - base, ((currentFrame + 0.5) / count) * width, base);
     for (let column = 0; column < columns; column++) {

@@ -12,7 +12,8 @@ export class LateControls {
   #controls: Controls | null = null;
   #coming = false;
   #timer = 0;
-  #loading = false;
+  #busy = false;
+  #share: number | null = null;
   #warning: string | null = null;
 
   constructor(
@@ -22,8 +23,7 @@ export class LateControls {
 
   /** Before the first picture is there, nothing but what leads to it; where it takes long, people are told. */
   setLoading(on: boolean): void {
-    this.#loading = on;
-    this.panels?.loading(on);
+    this.setBusy(on, null);
     clearTimeout(this.#timer);
     if (!on) this.start();
     else {
@@ -31,6 +31,13 @@ export class LateControls {
         this.start();
       }, AFTER_MS);
     }
+  }
+
+  /** Shows that something is waited for, and how much of it is there, where that is known. */
+  setBusy(on: boolean, share: number | null): void {
+    this.#busy = on;
+    this.#share = share;
+    this.panels?.busy(on, share);
   }
 
   /** Says what is wrong for as long as it is; null when nothing is. */
@@ -73,7 +80,7 @@ export class LateControls {
   #put(controls: Controls): void {
     this.#controls = controls;
     this.panels = new controls.Panels(this.player, this.root);
-    this.panels.loading(this.#loading);
+    this.panels.busy(this.#busy, this.#share);
     this.panels.warn(this.#warning);
     this.panels.tellCamera();
     this.panels.refresh();

@@ -11,11 +11,12 @@ import type { Lens, PinholeCamera } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
 import { length, type Vector } from "../geometry/vectors";
 import type { FrameInfo } from "../messages";
-import type { Figures, FrameList, Overlay, Place, PlayerApi, View } from "../player_api";
+import type { Figures, FrameList, Overlay, Place, PlayerApi, Span, View } from "../player_api";
 import type { StreamHeader } from "../scene";
 import type { PlayerEvent } from "./events";
 import { LateControls } from "./late_controls";
 import { Pictures, type PicturesHost } from "./pictures";
+import { Ranges } from "./ranges";
 import { RigCameras } from "./rig_cameras";
 import { Session } from "./session";
 import style from "./style.css";
@@ -48,6 +49,12 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     },
     loading: (on) => {
       this.#late.setLoading(on);
+    },
+    busy: (on, share) => {
+      this.#late.setBusy(on, share);
+    },
+    reopen: () => {
+      this.#open();
     },
     warn: (text) => {
       this.#late.warn(text);
@@ -172,6 +179,28 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   get error(): string | null {
     return this.#session.error;
   }
+  get bufferedFrames(): readonly Span[] {
+    return this.#session.buffered;
+  }
+  /** Seconds that can be played without the network, as with <video>. */
+  get buffered(): Ranges {
+    return new Ranges(this.bufferedFrames.map(([from, to]) => [from / this.fps, to / this.fps]));
+  }
+  get seekable(): Ranges {
+    return new Ranges(this.duration > 0 ? [[0, this.duration]] : []);
+  }
+  get seeking(): boolean {
+    return this.#session.seeking;
+  }
+  /** As with <video>: 0 nothing, 1 the header, 2 a frame, 3 the next one as well, 4 all that follow. */
+  get readyState(): 0 | 1 | 2 | 3 | 4 {
+    if (this.header === null) return 0;
+    if (this.info === null) return 1;
+    const { playback, waiting } = this.#session;
+    const ahead = this.bufferedFrames.find(([from, to]) => from <= playback.due && to > playback.due)?.[1] ?? 0;
+    if (ahead === playback.frameCount) return 4;
+    return waiting || ahead <= playback.due + 1 ? 2 : 3;
+  }
   get paused(): boolean {
     return !this.#session.playback.playing;
   }
@@ -185,17 +214,15 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return this.header === null ? NaN : this.#session.playback.frameCount / this.fps;
   }
   get currentTime(): number {
-    const { start, playback } = this.#session;
-    if (start !== null) return "seconds" in start ? start.seconds : start.frame / this.fps;
-    return playback.position / this.fps;
+    return this.#session.position / this.fps;
   }
   set currentTime(seconds: number) {
     if (this.header !== null) this.#session.seek(seconds * this.fps);
     else if (Number.isFinite(seconds)) this.#session.start = { seconds: Math.max(0, seconds) };
   }
   get currentFrame(): number {
-    const { start, playback } = this.#session;
-    return start !== null && "frame" in start ? start.frame : playback.due;
+    const { position, playback } = this.#session;
+    return position === playback.position ? playback.due : Math.floor(position + 1e-6);
   }
   set currentFrame(frame: number) {
     if (this.header !== null) this.#session.seek(Math.round(frame));
@@ -256,10 +283,8 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return { pictures: drawnAt.length, width, height, drawn: drawn.count, sortMs: drawn.sortMs, bytesRead, ...renderer.times };
   }
 
-  /** Resolves once playing has begun. */
   play(): Promise<void> {
-    if (this.paused) this.#session.play();
-    return Promise.resolve();
+    return this.#session.play();
   }
 
   pause(): void {
@@ -471,6 +496,6 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
       if (this.paused) return;
       this.pause();
       this.#pausedByHiding = true;
-    } else if (this.#pausedByHiding) void this.play();
+    } else if (this.#pausedByHiding) this.play().catch(() => undefined);
   };
 }
