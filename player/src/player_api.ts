@@ -9,7 +9,8 @@ import type { FrameInfo } from "./messages";
 import type { FrameKind, StreamHeader } from "./scene";
 
 /** What of the stream's knowledge is painted over the scene. */
-export type Overlay = "none" | "changes" | "motion";
+export const OVERLAYS = ["none", "changes", "motion"] as const;
+export type Overlay = (typeof OVERLAYS)[number];
 
 /** What is known of every frame, as columns. */
 export interface FrameList {

@@ -334,7 +334,9 @@ def test_a_site_holds_the_page_and_the_stream(small_stream: Any, tmp_path: Path,
     assert view_main([str(small_stream.path), "-o", str(site)]) == 0
     names = {path.name for path in page_files.PAGE.iterdir()} | {small_stream.path.name}
     assert {path.name for path in site.iterdir()} == names
-    assert f"{len(names)} files" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"{len(names)} files" in told
+    assert f"python3 -m http.server -d {site}" in told
     assert (site / small_stream.path.name).read_bytes() == small_stream.path.read_bytes()
     assert f'data-src="./{small_stream.path.name}"' in (site / "index.html").read_text()
     assert site.stat().st_mode & 0o055 == 0o055

@@ -30,6 +30,9 @@ const GLIDE = 0.09;
 const JUMP_SECONDS = 0.45;
 const LEVELLING = 6;
 const STILL = 1e-4;
+/** Distances from the pivot that zooming ends at, in those of the rig. */
+const NEAREST = 0.01;
+const FARTHEST = 8;
 
 interface Jump {
   readonly from: Pose;
@@ -116,7 +119,9 @@ export class Navigation {
   /** Goes nearer to the pivot (below 1) or away from it, by a factor of the distance. */
   zoom(factor: number): void {
     this.begin();
-    this.approach += Math.log(factor);
+    const distance = length(minus(this.pose.centre, this.pivot));
+    const [nearest, farthest] = [Math.min(distance, NEAREST * this.size), Math.max(distance, FARTHEST * this.size)];
+    this.approach = clamped(this.approach + Math.log(factor), Math.log(nearest / distance), Math.log(farthest / distance));
     if (this.calm) this.glide(1);
   }
 

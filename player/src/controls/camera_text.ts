@@ -4,10 +4,10 @@ import type { Pose } from "../geometry/poses";
 import { cross, dot, length, unit, type Vector } from "../geometry/vectors";
 
 export function poseFile(camera: PinholeCamera): string {
-  const { width, height, fx, fy, cx, cy } = camera;
+  const { width, height, fx, fy, cx, cy, near } = camera;
   const rows = [...camera.worldToCamera, [0, 0, 0, 1]];
   const matrix = rows.map((row) => `    [${row.join(", ")}]`).join(",\n");
-  const lens = JSON.stringify({ width, height, fx, fy, cx, cy }).slice(1, -1).replace(/:/g, ": ").replace(/,/g, ", ");
+  const lens = JSON.stringify({ width, height, fx, fy, cx, cy, near }).slice(1, -1).replace(/:/g, ": ").replace(/,/g, ", ");
   return `{\n  ${lens},\n  "world_to_camera": [\n${matrix}\n  ]\n}\n`;
 }
 

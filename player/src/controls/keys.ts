@@ -7,7 +7,8 @@ interface KeyAction {
   readonly keys: readonly string[];
   readonly shown: string;
   readonly text: string;
-  readonly act: (player: PlayerApi, panels: Panels, event: KeyboardEvent) => void;
+  /** false: there was nothing to do, and the key is for others. */
+  readonly act: (player: PlayerApi, panels: Panels, event: KeyboardEvent) => unknown;
 }
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -68,9 +69,9 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
   { keys: ["b"], shown: "B", text: "the recorded picture beside it, where it is known", act: (player) => { player.comparing = !player.comparing; } },
   { keys: ["i"], shown: "I", text: "figures", act: (_, panels) => { panels.toggleStatistics(); } },
   { keys: ["p"], shown: "P", text: "save the picture", act: (_, panels) => { void panels.savePicture(); } },
-  { keys: ["f"], shown: "F", text: "full screen", act: (_, panels) => { panels.toggleFullScreen(); } },
+  { keys: ["f"], shown: "F", text: "full screen", act: (_, panels) => { void panels.toggleFullScreen(); } },
   { keys: ["?", "h"], shown: "?", text: "this help", act: (_, panels) => { panels.toggleHelp(); } },
-  { keys: ["Escape"], shown: "Esc", text: "close", act: (_, panels) => { panels.closeAll(); } },
+  { keys: ["Escape"], shown: "Esc", text: "close", act: (_, panels) => panels.closeAll() || panels.leaveFullWindow() },
 ];
 
 /** Directions of flight by the key's place, so that they lie together on every keyboard. */
@@ -89,11 +90,10 @@ const held = new WeakMap<PlayerApi, Set<string>>();
 export function looksInto(player: PlayerApi, panels: Panels, event: KeyboardEvent): boolean {
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   if (FLIGHT.has(event.code)) return fly(player, event);
-  if (event.type !== "keydown" || inField(event)) return false;
+  if (event.type !== "keydown" || (inField(event) && event.key !== "Escape")) return false;
   const action = KEY_ACTIONS.find(({ keys }) => keys.includes(event.key) || keys.includes(event.key.toLowerCase()));
   if (action === undefined) return false;
-  action.act(player, panels, event);
-  return true;
+  return action.act(player, panels, event) !== false;
 }
 
 /** What goes wrong is in the notice. */

@@ -1,5 +1,6 @@
 /** The controls over the picture: the bar, its menu, help, figures and notices. They act through the player alone. */
 import type { Overlay, PlayerApi } from "../player_api";
+import { adopt } from "../adopted_style";
 import { cameraToLink, poseFile } from "./camera_text";
 import { cameraNote } from "./camera_note";
 import { Comparison } from "./comparison";
@@ -38,6 +39,8 @@ export class Panels {
   private idleTimer = 0;
   private loadingTimer = 0;
   private shownBusy = false;
+  /** What had the focus before a panel was opened. */
+  private opener: HTMLElement;
   private legendOf: Overlay = "none";
 
   constructor(
@@ -47,9 +50,9 @@ export class Panels {
     const holder = document.createElement("div");
     holder.className = "controls";
     holder.innerHTML = markup();
-    const sheet = document.createElement("style");
-    sheet.textContent = style;
-    root.append(sheet, holder);
+    adopt(root, style);
+    root.append(holder);
+    this.opener = player;
     this.timeline = new Timeline(player, this.part(".timeline"));
     this.statistics = new Statistics(player, this.part(".figures"));
     this.comparison = new Comparison(player, this.part(".recording"), this.part(".divider"));
@@ -99,6 +102,11 @@ export class Panels {
     if (note !== null && this.warning === null) this.say(note, false);
   }
 
+  /** Says something for a moment, unless something is wrong. */
+  hint(text: string): void {
+    if (this.warning === null) this.say(text, false);
+  }
+
   toggleHelp(): void {
     this.toggle(".help");
   }
@@ -110,14 +118,36 @@ export class Panels {
     this.refresh();
   }
 
-  closeAll(): void {
-    for (const panel of this.closers) panel.hidden = true;
+  /** Closes menu and help, and gives the focus back to what opened them; whether anything was open. */
+  closeAll(): boolean {
+    const open = this.closers.filter((panel) => !panel.hidden);
+    const focused = open.some((panel) => panel.contains(this.root.activeElement));
+    for (const panel of open) panel.hidden = true;
+    if (focused) this.opener.focus();
     this.refresh();
+    return open.length > 0;
   }
 
-  toggleFullScreen(): void {
-    if (document.fullscreenElement === null) void this.player.requestFullscreen();
-    else void document.exitFullscreen();
+  /** Phones that give the whole screen to <video> only let the player fill the window. */
+  async toggleFullScreen(): Promise<void> {
+    const { classList } = this.root.host;
+    if (classList.contains("fills")) classList.remove("fills");
+    else if (document.fullscreenElement !== null) await document.exitFullscreen();
+    else {
+      try {
+        await this.player.requestFullscreen();
+      } catch {
+        classList.add("fills");
+      }
+    }
+  }
+
+  /** Out of what fills the window; whether it did. */
+  leaveFullWindow(): boolean {
+    const { classList } = this.root.host;
+    const fills = classList.contains("fills");
+    classList.remove("fills");
+    return fills;
   }
 
   async savePicture(): Promise<void> {
@@ -155,7 +185,7 @@ export class Panels {
         this.toggle(".menu");
       },
       full: () => {
-        this.toggleFullScreen();
+        void this.toggleFullScreen();
       },
       picture: () => void this.savePicture(),
       pose: () => void this.copyPose(),
@@ -300,10 +330,11 @@ export class Panels {
   private toggle(selector: string): void {
     const panel = this.part(selector);
     const hide = !panel.hidden;
+    const { activeElement } = this.root;
+    if (!hide) this.opener = activeElement instanceof HTMLElement ? activeElement : this.player;
     this.closeAll();
     panel.hidden = hide;
     if (!hide) panel.querySelector<HTMLElement>("button, select")?.focus();
-    else this.player.focus();
     this.refresh();
   }
 

@@ -2,7 +2,10 @@
 import type { Renderer } from "./renderer";
 import { WebGlRenderer } from "./webgl_renderer";
 
-/** `onRestored`: everything has to be loaded again. Throws an Error that says so where the browser cannot draw. */
-export function createRenderer(canvas: HTMLCanvasElement, onRestored: () => void): Renderer {
-  return new WebGlRenderer(canvas, onRestored);
+/**
+ * `onRestored`: everything has to be loaded again. `onLost`: the graphics card is gone, for how long nobody knows. Throws an
+ * Error that says so where the browser cannot draw.
+ */
+export function createRenderer(canvas: HTMLCanvasElement, onRestored: () => void, onLost: () => void): Renderer {
+  return new WebGlRenderer(canvas, onRestored, onLost);
 }

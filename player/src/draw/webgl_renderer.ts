@@ -1,7 +1,7 @@
 /** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background, if any, behind them. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
-import type { Overlay } from "../player_api";
+import { OVERLAYS, type Overlay } from "../player_api";
 import type { StreamHeader } from "../scene";
 import { Accumulation } from "./accumulation";
 import { GpuClock } from "./gpu_clock";
@@ -11,8 +11,6 @@ import { SceneTextures } from "./scene_textures";
 import { recordedPass } from "./recorded";
 import type { RecordedPass } from "./recorded_pass";
 import { FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
-
-const OVERLAYS: readonly Overlay[] = ["none", "changes", "motion"];
 
 /** What lives on the GPU and is lost with its context. */
 interface Resources {
@@ -39,6 +37,7 @@ export class WebGlRenderer implements Renderer {
   constructor(
     readonly canvas: HTMLCanvasElement,
     private readonly onRestored: () => void,
+    private readonly onLost: () => void,
   ) {
     const options = { antialias: false, depth: false, stencil: false } as const;
     const gl = canvas.getContext("webgl2", { ...options, powerPreference: "high-performance" });
@@ -153,6 +152,7 @@ export class WebGlRenderer implements Renderer {
     this.resources?.clock.stop();
     this.resources = null;
     this.count = 0;
+    this.onLost();
   };
 
   private readonly restored = (): void => {

@@ -17,7 +17,16 @@ export interface PicturesHost {
   readonly drawExactly: (camera: PinholeCamera) => void;
   readonly lookedThrough: () => LookedThrough | null;
   readonly cameraMoved: () => void;
+  /** Another renderer draws. */
+  readonly changed: () => void;
+  /** Whether one finger and the wheel are the page's: it scrolls. */
+  readonly cooperative: () => boolean;
+  /** Says how the camera is moved, for a moment. */
+  readonly hint: (text: string) => void;
 }
+
+/** After so long a lost graphics card counts as gone. */
+const LOST_MS = 3000;
 
 export class Pictures {
   readonly stage: Stage;
@@ -26,7 +35,8 @@ export class Pictures {
   /** It lies over the other one, which takes what the pointer does. */
   readonly #exactCanvas = canvasOf("picture exact");
   /** null without WebGL2: then the kernel draws. */
-  readonly #fast: Renderer | null;
+  #fast: Renderer | null;
+  #lostTimer = 0;
   readonly #detachPointer: () => void;
   #exactly: ExactCanvas | null = null;
   #begun: { readonly layout: TextureLayout; readonly header: StreamHeader } | null = null;
@@ -36,10 +46,18 @@ export class Pictures {
     exact: boolean,
   ) {
     this.elements = [this.#canvas, this.#exactCanvas];
-    this.#fast = fastRenderer(this.#canvas, host.resend);
+    const restored = (): void => {
+      clearTimeout(this.#lostTimer);
+      host.resend();
+    };
+    this.#fast = fastRenderer(this.#canvas, restored, () => {
+      this.#lostTimer = window.setTimeout(() => {
+        this.#giveUpFast();
+      }, LOST_MS);
+    });
     this.stage = new Stage(this.#rightRenderer(exact), host.size, host.sort, host.lookedThrough);
     this.stage.navigation.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.#detachPointer = attachPointer(this.#canvas, this.stage.navigation, host.cameraMoved);
+    this.#detachPointer = attachPointer(this.#canvas, this.stage.navigation, host);
   }
 
   get canChooseExact(): boolean {
@@ -81,6 +99,7 @@ export class Pictures {
   }
 
   dispose(): void {
+    clearTimeout(this.#lostTimer);
     this.#detachPointer();
     this.stage.dispose();
     this.#fast?.dispose();
@@ -88,11 +107,18 @@ export class Pictures {
     for (const canvas of this.elements) canvas.remove();
   }
 
+  /** A graphics card that does not come back: the kernel draws from now on. */
+  #giveUpFast(): void {
+    this.#fast?.dispose();
+    this.#fast = null;
+    if (this.chooseExact(true)) this.host.changed();
+  }
+
   #rightRenderer(wanted: boolean): Renderer {
-    const exact = this.#fast === null || wanted;
-    this.#exactCanvas.hidden = !exact;
-    this.#canvas.style.opacity = exact ? "0" : ""; // the other one may be transparent
-    if (!exact) return this.#fast;
+    const fast = wanted ? null : this.#fast;
+    this.#exactCanvas.hidden = fast !== null;
+    this.#canvas.style.opacity = fast === null ? "0" : ""; // the other one may be transparent
+    if (fast !== null) return fast;
     return (this.#exactly ??= new ExactCanvas(this.#exactCanvas, this.host.drawExactly));
   }
 }
@@ -103,9 +129,9 @@ function canvasOf(className: string): HTMLCanvasElement {
   return canvas;
 }
 
-function fastRenderer(canvas: HTMLCanvasElement, onRestored: () => void): Renderer | null {
+function fastRenderer(canvas: HTMLCanvasElement, onRestored: () => void, onLost: () => void): Renderer | null {
   try {
-    return createRenderer(canvas, onRestored);
+    return createRenderer(canvas, onRestored, onLost);
   } catch {
     return null;
   }

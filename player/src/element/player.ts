@@ -3,7 +3,8 @@
  *
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel, which also draws where WebGL2 is missing), recorded (cameras of the rig show
- * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there).
+ * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
+ * gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
 import { startRecorded } from "../draw/recorded";
@@ -11,9 +12,10 @@ import type { Lens, PinholeCamera } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
 import { length, type Vector } from "../geometry/vectors";
 import type { FrameInfo } from "../messages";
-import type { Figures, FrameList, Overlay, Place, PlayerApi, Span, View } from "../player_api";
+import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type PlayerApi, type Span, type View } from "../player_api";
 import type { StreamHeader } from "../scene";
 import type { PlayerEvent } from "./events";
+import { adopt } from "../adopted_style";
 import { LateControls } from "./late_controls";
 import { Pictures, type PicturesHost } from "./pictures";
 import { Ranges } from "./ranges";
@@ -83,11 +85,10 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
 
   constructor() {
     super();
-    const sheet = document.createElement("style");
-    sheet.textContent = style;
     this.#poster.className = "poster";
     this.#poster.alt = "";
-    this.#root.append(sheet, this.#poster);
+    adopt(this.#root, style);
+    this.#root.append(this.#poster);
     for (const name of ["keydown", "keyup"] as const) {
       this.addEventListener(name, (event) => {
         this.#late.key(event);
@@ -241,6 +242,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return this.#pictures?.stage.overlay ?? "none";
   }
   set overlay(overlay: Overlay) {
+    if (!OVERLAYS.includes(overlay)) throw new RangeError(`overlay must be one of ${OVERLAYS.join(", ")}`);
     if (this.#pictures === null) return;
     this.#pictures.stage.overlay = overlay;
     this.#touch();
@@ -427,6 +429,13 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
       },
       cameraMoved: () => {
         this.#cameraMoved();
+      },
+      changed: () => {
+        this.#touch();
+      },
+      cooperative: () => this.getAttribute("gestures") === "cooperative" && document.fullscreenElement !== this && !this.classList.contains("fills"),
+      hint: (text) => {
+        this.#late.panels?.hint(text);
       },
     };
     const pictures = new Pictures(host, this.hasAttribute("exact"));

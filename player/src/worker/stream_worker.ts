@@ -94,7 +94,8 @@ export class StreamWorker {
       this.tellProgress();
       void this.showWanted();
     } catch (error) {
-      this.send({ type: "failed", request: null, message: sentence(error) });
+      const message = sentence(error);
+      this.send({ type: "failed", request: null, message: message.includes("://") ? message : `${source}: ${message}` });
     }
   }
 

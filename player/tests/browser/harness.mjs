@@ -15,7 +15,7 @@ export async function started(folders = {}) {
     browser,
     /** A page whose player is that large and plays a stream; what the page complains of is in `page.complaints`. */
     async opened(stream, { width = 200, height = 150, query = "", scale = 1, folder = "data", touch = false } = {}) {
-      const context = await browser.newContext({ viewport: { width, height }, deviceScaleFactor: scale, hasTouch: touch });
+      const context = await browser.newContext({ viewport: { width, height }, deviceScaleFactor: scale, hasTouch: touch, isMobile: touch });
       const page = await context.newPage();
       page.complaints = [];
       page.on("console", (message) => {

@@ -58,6 +58,17 @@ test("a camera copied as pose.json is the one in the picture", async () => {
   await page.context().close();
 });
 
+test("a camera copied as pose.json has the near plane of the view", async () => {
+  const page = await browser.opened("degree2");
+  await ready(page);
+  const text = await page.evaluate(async () => {
+    const { poseFile } = await import("/page/decogs-player.js");
+    return poseFile(document.querySelector("decogs-player").currentCamera());
+  });
+  assert.equal(JSON.parse(text).near, 0.6);
+  await page.context().close();
+});
+
 test("a link shows the same view", async () => {
   const page = await browser.opened("degree2", { query: "&camera=turned" });
   await ready(page);

@@ -87,7 +87,7 @@ test("events and properties are those of <video>", async () => {
     await player.play();
     const { paused } = player;
     await ended;
-    return { duration, currentTime, paused, ended: player.ended, pausedAtEnd: player.paused, events, rate: player.playbackRate };
+    return { duration, currentTime, paused, ended: player.ended && player.currentTime === duration, pausedAtEnd: player.paused, events, rate: player.playbackRate };
   });
   assert.ok(Math.abs(told.duration - 4 / 30) < 1e-9);
   assert.ok(Math.abs(told.currentTime - 2 / 30) < 1e-9);
@@ -149,8 +149,14 @@ test("what is no stream is an error that says so", async () => {
   writeFileSync(join(folder, "other.dgs"), "<html>no stream</html>".repeat(20));
   const other = await browser.opened("other", { folder: "growing" });
   await until(other, "player.error !== null");
-  assert.match(await other.evaluate(() => document.querySelector("decogs-player").error), /not a \.dgs stream/);
-  for (const each of [page, other]) await each.context().close();
+  assert.match(await other.evaluate(() => document.querySelector("decogs-player").error), /growing\/other\.dgs.*not a \.dgs stream/);
+  // One that ends inside its first keyframe.
+  writeFileSync(join(folder, "begun.dgs"), readFileSync(join(DATA, "long.dgs")).subarray(0, ends[0] - 100));
+  const begun = await browser.opened("begun", { folder: "growing" });
+  await until(begun, "player.error !== null");
+  assert.match(await begun.evaluate(() => document.querySelector("decogs-player").error), /cut off/);
+  await until(begun, "player.shadowRoot.querySelector('.veil')?.hidden");
+  for (const each of [page, other, begun]) await each.context().close();
 });
 
 test("a lost WebGL context comes back with the same picture", async () => {
