@@ -84,7 +84,7 @@ export interface SceneUpdate {
 /** What a byte of heat says: 255 changed in this frame; 254 down to 2 so many frames ago; 1 in this segment; 0 never. */
 export const HEAT = { now: 255, oldest: 2, earlier: 1, still: 0 } as const;
 
-/** Rows in the order to draw them, nearest first. */
+/** Rows in the order to draw them, nearest first, as long as the lines of a texture that hold them. */
 export interface DrawOrder {
   readonly order: Uint32Array;
   readonly count: number;

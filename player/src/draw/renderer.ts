@@ -16,6 +16,8 @@ export interface Renderer {
   readonly times: DrawTimes;
   /** Whether the last picture asked for is not finished yet: another one would only queue up behind it. */
   readonly busy: boolean;
+  /** Whether the browser says that the processor draws, not a graphics card. */
+  readonly inSoftware?: boolean;
   /** Begins a stream: what was loaded is forgotten. A subject is drawn over nothing. */
   begin(layout: TextureLayout, header: StreamHeader): void;
   load(update: SceneUpdate): void;

@@ -1,4 +1,4 @@
-/** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background, if any, behind them. */
+/** Draws with WebGL2: quads, nearest first, in batches that are an instance each, into half floats, and the background, if any, behind them. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
 import { OVERLAYS, type Overlay } from "../player_api";
@@ -10,7 +10,7 @@ import type { DrawTimes, Renderer } from "./renderer";
 import { SceneTextures } from "./scene_textures";
 import { recordedPass } from "./recorded";
 import type { RecordedPass } from "./recorded_pass";
-import { FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
+import { BATCH, FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
 
 /** What lives on the GPU and is lost with its context. */
 interface Resources {
@@ -19,12 +19,22 @@ interface Resources {
   readonly textures: SceneTextures;
   readonly accumulation: Accumulation;
   readonly clock: GpuClock;
-  readonly rows: WebGLBuffer;
+  /** Corners of the quads of a batch. */
+  readonly corners: WebGLBuffer;
   /** Made when a recorded picture is asked for. */
   recorded: RecordedPass | null;
 }
 
+/** Names of drivers that draw on the processor: not every browser calls them slow. */
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+
+function nameOf(gl: WebGL2RenderingContext): string {
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  return String(gl.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
+}
+
 export class WebGlRenderer implements Renderer {
+  readonly inSoftware: boolean;
   readonly times: DrawTimes = { uploadMs: 0, drawMs: 0 };
   private readonly gl: WebGL2RenderingContext;
   private layout: TextureLayout | null = null;
@@ -39,10 +49,12 @@ export class WebGlRenderer implements Renderer {
     private readonly onRestored: () => void,
     private readonly onLost: () => void,
   ) {
-    const options = { antialias: false, depth: false, stencil: false } as const;
-    const gl = canvas.getContext("webgl2", { ...options, powerPreference: "high-performance" });
+    const options: WebGLContextAttributes = { antialias: false, depth: false, stencil: false, powerPreference: "high-performance" };
+    const fast = canvas.getContext("webgl2", { ...options, failIfMajorPerformanceCaveat: true });
+    const gl = fast ?? canvas.getContext("webgl2", options);
     if (gl === null) throw new Error("this browser has no WebGL2");
     this.gl = gl;
+    this.inSoftware = fast === null || SOFTWARE.test(nameOf(gl));
     canvas.addEventListener("webglcontextlost", this.lost);
     canvas.addEventListener("webglcontextrestored", this.restored);
   }
@@ -67,10 +79,8 @@ export class WebGlRenderer implements Renderer {
 
   order(draw: DrawOrder): void {
     if (this.resources === null) return;
-    const { gl } = this;
     this.count = draw.count;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.resources.rows);
-    gl.bufferData(gl.ARRAY_BUFFER, draw.order.subarray(0, draw.count), gl.STREAM_DRAW);
+    if (draw.count > 0) this.resources.textures.order(draw);
   }
 
   draw(camera: PinholeCamera, overlay: Overlay): void {
@@ -87,7 +97,8 @@ export class WebGlRenderer implements Renderer {
     this.setCamera(resources.splats, drawn);
     gl.uniform1i(resources.splats.uniform("overlay"), OVERLAYS.indexOf(overlay));
     resources.textures.bind();
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
+    gl.uniform1i(resources.splats.uniform("count"), this.count);
+    gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0, Math.ceil(this.count / BATCH));
     resources.accumulation.end();
     gl.viewport(0, 0, width, height);
     if (recording) resources.recorded!.use(camera, recording, this.background);
@@ -125,25 +136,24 @@ export class WebGlRenderer implements Renderer {
     const splats = linked(gl, splatVertexShader(layout.shDegree, layout.restTexels), SPLAT_FRAGMENT_SHADER);
     const finish = linked(gl, SCREEN_VERTEX_SHADER, FINISH_FRAGMENT_SHADER);
     gl.useProgram(splats.program);
-    for (const [unit, name] of ["base", "rest", "heat"].entries()) gl.uniform1i(splats.uniform(name), unit);
-    const rows = gl.createBuffer();
-    gl.bindBuffer(gl.ARRAY_BUFFER, rows);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(0, 1);
+    for (const [unit, name] of ["base", "rest", "heat", "order"].entries()) gl.uniform1i(splats.uniform(name), unit);
+    const corners = gl.createBuffer();
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, corners);
+    const quads = Array.from({ length: BATCH }, (_, quad) => [0, 1, 2, 2, 1, 3].map((corner) => 4 * quad + corner));
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint16Array.from(quads.flat()), gl.STATIC_DRAW);
     const [textures, accumulation, clock] = [new SceneTextures(gl, layout), new Accumulation(gl), new GpuClock(gl)];
-    return { splats, finish, textures, accumulation, clock, rows, recorded: null };
+    return { splats, finish, textures, accumulation, clock, corners, recorded: null };
   }
 
   private release(): void {
     if (this.resources === null) return;
-    const { splats, finish, textures, accumulation, clock, rows, recorded } = this.resources;
+    const { splats, finish, textures, accumulation, clock, corners, recorded } = this.resources;
     clock.stop();
     recorded?.dispose();
     textures.dispose();
     accumulation.dispose();
     for (const { program } of [splats, finish]) this.gl.deleteProgram(program);
-    this.gl.deleteBuffer(rows);
+    this.gl.deleteBuffer(corners);
     this.resources = null;
   }
 

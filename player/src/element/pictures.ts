@@ -4,6 +4,7 @@ import { ExactCanvas } from "../draw/exact_canvas";
 import { createRenderer } from "../draw/index";
 import type { Renderer } from "../draw/renderer";
 import type { PinholeCamera } from "../geometry/camera";
+import type { Overlay } from "../player_api";
 import type { DepthRow, ExactPicture, TextureLayout } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Stage, type LookedThrough } from "./stage";
@@ -25,6 +26,12 @@ export interface PicturesHost {
   readonly hint: (text: string) => void;
 }
 
+/** Whether the kernel draws; null: where it is the faster one. */
+export type ExactChoice = boolean | null;
+
+/** A graphics card that takes so long for a picture, so many times in a row, is slower than the kernel. */
+const SLOW_MS = 300;
+const SLOW_PICTURES = 3;
 /** After so long a lost graphics card counts as gone. */
 const LOST_MS = 3000;
 
@@ -37,14 +44,22 @@ export class Pictures {
   /** null without WebGL2: then the kernel draws. */
   #fast: Renderer | null;
   #lostTimer = 0;
+  #choice: ExactChoice;
+  /** Slow pictures of the graphics card in a row, and what the last one took. */
+  #slow = 0;
+  #slowMs = 0;
+  #judgedMs = 0;
+  #kernelIsSlower = false;
+  #overlay: Overlay = "none";
   readonly #detachPointer: () => void;
   #exactly: ExactCanvas | null = null;
   #begun: { readonly layout: TextureLayout; readonly header: StreamHeader } | null = null;
 
   constructor(
     private readonly host: PicturesHost,
-    exact: boolean,
+    choice: ExactChoice,
   ) {
+    this.#choice = choice;
     this.elements = [this.#canvas, this.#exactCanvas];
     const restored = (): void => {
       clearTimeout(this.#lostTimer);
@@ -55,7 +70,7 @@ export class Pictures {
         this.#giveUpFast();
       }, LOST_MS);
     });
-    this.stage = new Stage(this.#rightRenderer(exact), host.size, host.sort, host.lookedThrough);
+    this.stage = new Stage(this.#rightRenderer(), host.size, host.sort, host.lookedThrough);
     this.stage.navigation.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.#detachPointer = attachPointer(this.#canvas, this.stage.navigation, host);
   }
@@ -69,8 +84,40 @@ export class Pictures {
   }
 
   /** What draws from now on begins with the whole frame. Whether another one does. */
-  chooseExact(exact: boolean): boolean {
-    const renderer = this.#rightRenderer(exact);
+  chooseExact(choice: ExactChoice): boolean {
+    this.#choice = choice;
+    return this.#change();
+  }
+
+  set overlay(overlay: Overlay) {
+    this.#overlay = this.stage.overlay = overlay;
+    this.#change(); // the kernel draws none
+    this.stage.touch();
+  }
+
+  /**
+   * Where nobody has chosen: slow pictures of the graphics card give way to the kernel's, and those that are slower still
+   * to the graphics card's again, for good. Asked once a picture.
+   */
+  judge(): void {
+    const { drawMs } = this.stage.renderer.times;
+    if (this.#choice !== null || this.#fast === null || drawMs === this.#judgedMs) return;
+    this.#judgedMs = drawMs;
+    if (this.exact) {
+      if (!this.#kernelIsSlower && this.#slowMs > 0 && drawMs > this.#slowMs) this.#kernelIsSlower = true;
+    } else {
+      this.#slow = drawMs > SLOW_MS ? this.#slow + 1 : 0;
+      this.#slowMs = drawMs;
+    }
+    if (this.#change()) this.host.changed();
+  }
+
+  get #automatic(): boolean {
+    return !this.#kernelIsSlower && this.#overlay === "none" && (this.#fast?.inSoftware === true || this.#slow >= SLOW_PICTURES);
+  }
+
+  #change(): boolean {
+    const renderer = this.#rightRenderer();
     if (renderer === this.stage.renderer) return false;
     this.stage.renderer = renderer;
     if (this.#begun !== null) renderer.begin(this.#begun.layout, this.#begun.header);
@@ -111,11 +158,11 @@ export class Pictures {
   #giveUpFast(): void {
     this.#fast?.dispose();
     this.#fast = null;
-    if (this.chooseExact(true)) this.host.changed();
+    if (this.#change()) this.host.changed();
   }
 
-  #rightRenderer(wanted: boolean): Renderer {
-    const fast = wanted ? null : this.#fast;
+  #rightRenderer(): Renderer {
+    const fast = (this.#choice ?? this.#automatic) ? null : this.#fast;
     this.#exactCanvas.hidden = fast !== null;
     this.#canvas.style.opacity = fast === null ? "0" : ""; // the other one may be transparent
     if (fast !== null) return fast;

@@ -2,7 +2,7 @@
  * `<decogs-player src="scene.dgs" controls>`: plays a stream, with the manners of <video>.
  *
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
- * exact (drawn by the decoder's own kernel, which also draws where WebGL2 is missing), recorded (cameras of the rig show
+ * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
  * gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
@@ -17,7 +17,7 @@ import type { StreamHeader } from "../scene";
 import type { PlayerEvent } from "./events";
 import { adopt } from "../adopted_style";
 import { LateControls } from "./late_controls";
-import { Pictures, type PicturesHost } from "./pictures";
+import { Pictures, type ExactChoice, type PicturesHost } from "./pictures";
 import { Ranges } from "./ranges";
 import { RigCameras } from "./rig_cameras";
 import { Session } from "./session";
@@ -123,7 +123,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (name === "src" && this.isConnected) this.#open();
     if (name === "loop") this.#session.playback.loop = value !== null;
     if (name === "poster") this.#showPoster(value);
-    if (name === "exact" && this.#pictures?.chooseExact(value !== null) === true) this.#wake();
+    if (name === "exact" && this.#pictures?.chooseExact(this.#exactChoice) === true) this.#wake();
     if (name === "recorded") void this.#chooseRecorded();
     if (name === "background") this.#pictures?.layBehind(value);
     if (name === "camera" && value !== null) this.camera = value;
@@ -244,14 +244,18 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   set overlay(overlay: Overlay) {
     if (!OVERLAYS.includes(overlay)) throw new RangeError(`overlay must be one of ${OVERLAYS.join(", ")}`);
     if (this.#pictures === null) return;
-    this.#pictures.stage.overlay = overlay;
+    this.#pictures.overlay = overlay;
     this.#touch();
   }
   get exact(): boolean {
     return this.#pictures?.exact ?? false;
   }
   set exact(value: boolean) {
-    this.toggleAttribute("exact", value);
+    this.setAttribute("exact", value ? "" : "off");
+  }
+  get #exactChoice(): ExactChoice {
+    const value = this.getAttribute("exact");
+    return value === null ? null : value !== "off";
   }
   get canChooseExact(): boolean {
     return this.#pictures?.canChooseExact ?? false;
@@ -367,6 +371,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (stage === undefined) return;
     this.#session.advance(seconds);
     if (stage.step(now, seconds, playback.playing)) this.#poster.hidden = true;
+    this.#pictures?.judge();
     this.#late.panels?.tick(now);
     const waiting = playback.playing || stage.pending || stage.renderer.busy;
     const flying = length(stage.navigation.flight) > 0;
@@ -438,7 +443,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
         this.#late.panels?.hint(text);
       },
     };
-    const pictures = new Pictures(host, this.hasAttribute("exact"));
+    const pictures = new Pictures(host, this.#exactChoice);
     this.#poster.before(...pictures.elements);
     return pictures;
   }

@@ -14,6 +14,8 @@ import type { CameraCorrection, RigCamera } from "../scene";
 const SLOW_MS = 45;
 const FAST_MS = 18;
 const SMALLEST = 0.4;
+/** Half the pixels have to take less than this share of the time. */
+const HELPS = 0.85;
 /** Milliseconds after the last change until the whole picture is drawn. */
 const REST_MS = 160;
 const LARGEST_SIDE = 8192;
@@ -29,6 +31,11 @@ export class Stage {
   overlay: Overlay = "none";
   drawnAt: number[] = [];
   private scale = 1;
+  /** Of the picture that was timed last; and the one before that was shrunk, with what it took. */
+  private drawnScale = 1;
+  private larger: { readonly scale: number; readonly ms: number } | null = null;
+  /** Whether shrinking has not helped. */
+  private futile = false;
   private dirty = false;
   private changedAt = 0;
   private wholeDrawn = false;
@@ -43,12 +50,25 @@ export class Stage {
   private ordered = false;
 
   constructor(
-    public renderer: Renderer,
+    private drawing: Renderer,
     private readonly sizeOf: () => { readonly width: number; readonly height: number },
     private readonly askOrder: (depth: DepthRow, serial: number) => void,
     /** Whose picture is to look as it was recorded; null: nobody's. */
     private readonly recorded: () => LookedThrough | null = () => null,
   ) {}
+
+  get renderer(): Renderer {
+    return this.drawing;
+  }
+
+  /** Another one may be slow elsewhere. */
+  set renderer(renderer: Renderer) {
+    this.drawing = renderer;
+    this.scale = 1;
+    this.futile = false;
+    this.larger = null;
+    this.touch();
+  }
 
   /** Whether the next picture is still to come. */
   get pending(): boolean {
@@ -64,6 +84,8 @@ export class Stage {
     this.asked = null;
     this.answered = this.outdated = this.serial;
     this.ordered = false;
+    this.futile = false;
+    this.larger = null;
     this.count = 0;
     this.look();
   }
@@ -110,6 +132,7 @@ export class Stage {
     this.adapt();
     const scale = resting ? 1 : this.scale;
     this.drawNow(scale);
+    this.drawnScale = scale;
     this.dirty = false;
     this.wholeDrawn = scale === 1;
     this.drawnAt.push(now);
@@ -159,9 +182,18 @@ export class Stage {
     this.renderer.draw(this.camera(side(width), side(height)), this.overlay);
   }
 
+  /** Smaller pictures while that helps: where Gaussians, not pixels, take the time, it would only blur. */
   private adapt(): void {
     const { drawMs } = this.renderer.times;
-    if (drawMs > SLOW_MS) this.scale = Math.max(SMALLEST, this.scale * 0.85);
-    else if (drawMs < FAST_MS) this.scale = Math.min(1, this.scale / 0.9);
+    const { larger, drawnScale } = this;
+    if (drawMs > SLOW_MS && !this.futile) {
+      if (larger !== null && drawnScale < larger.scale && drawMs > HELPS * larger.ms) {
+        this.futile = true;
+        this.scale = 1;
+        return;
+      }
+      this.larger = { scale: drawnScale, ms: drawMs };
+      this.scale = Math.max(SMALLEST, this.scale * 0.7);
+    } else if (drawMs < FAST_MS) this.scale = Math.min(1, this.scale / 0.9);
   }
 }

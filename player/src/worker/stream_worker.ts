@@ -1,7 +1,7 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { SceneFrame, SceneStream } from "../scene";
-import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
+import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
 import { DepthSorter } from "./depth_order";
@@ -207,7 +207,7 @@ export class StreamWorker {
     if (this.frame === null || this.view === null) return EMPTY_ORDER;
     const begun = performance.now();
     const { means, count } = this.frame.gaussians;
-    const order = this.buffers.words(count);
+    const order = this.buffers.words(TEXTURE_WIDTH * textureLines(count, 1));
     const drawn = this.sorter.sort(means, count, this.view.depth, order);
     return { order, count: drawn, sortMs: performance.now() - begun, serial: this.view.serial };
   }
