@@ -202,6 +202,13 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (ahead === playback.frameCount) return 4;
     return waiting || ahead <= playback.due + 1 ? 2 : 3;
   }
+  /** Pixels of the picture of the camera looked through, as with <video>; 0 before `loadedmetadata`. */
+  get videoWidth(): number {
+    return this.view?.lens.width ?? 0;
+  }
+  get videoHeight(): number {
+    return this.view?.lens.height ?? 0;
+  }
   get paused(): boolean {
     return !this.#session.playback.playing;
   }
@@ -287,6 +294,11 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     const { width, height } = renderer.canvas;
     const { drawn, bytesRead } = this.#session;
     return { pictures: drawnAt.length, width, height, drawn: drawn.count, sortMs: drawn.sortMs, bytesRead, ...renderer.times };
+  }
+
+  /** Opens the stream anew, as that of <video>. */
+  load(): void {
+    if (this.isConnected) this.#open();
   }
 
   play(): Promise<void> {
