@@ -23,11 +23,11 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     },
   },
   {
-    keys: ["ArrowLeft", "ArrowRight"],
-    shown: "← →",
+    keys: ["ArrowLeft", "ArrowRight", ",", "."],
+    shown: "← → , .",
     text: "a frame back or on; with Shift to a keyframe",
     act: (player, _, { key, shiftKey }) => {
-      stepFrame(player, key === "ArrowLeft" ? -1 : 1, shiftKey);
+      stepFrame(player, key === "ArrowLeft" || key === "," ? -1 : 1, shiftKey);
     },
   },
   {
@@ -36,6 +36,14 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     text: "first or last frame",
     act: (player, _, { key }) => {
       player.currentFrame = key === "Home" ? 0 : player.frames.count - 1;
+    },
+  },
+  {
+    keys: Array.from("0123456789"),
+    shown: "0 to 9",
+    text: "to that tenth of the time",
+    act: (player, _, { key }) => {
+      player.currentTime = (player.duration * Number(key)) / 10;
     },
   },
   {

@@ -41,6 +41,7 @@ export function markup(): string {
   <button type="button" name="picture">Save picture</button>
   <button type="button" name="pose">Copy camera as pose.json</button>
   <button type="button" name="link">Copy link to this view</button>
+  <button type="button" name="embed">Copy code to embed it</button>
   <button type="button" name="help">Help</button>
 </div>
 <div class="bar panel" part="controls">

@@ -39,6 +39,7 @@ export class Panels {
   private idleTimer = 0;
   private loadingTimer = 0;
   private shownBusy = false;
+  private invited = false;
   /** What had the focus before a panel was opened. */
   private opener: HTMLElement;
   private legendOf: Overlay = "none";
@@ -100,6 +101,13 @@ export class Panels {
     const { header, camera } = this.player;
     const note = header === null || this.player.recorded ? null : cameraNote(header, camera);
     if (note !== null && this.warning === null) this.say(note, false);
+  }
+
+  /** Tells people once that the picture is theirs to turn. */
+  invite(): void {
+    if (this.invited || !this.player.controls || this.player.info === null) return;
+    this.invited = true;
+    this.hint(this.player.getAttribute("gestures") === "cooperative" ? "Use two fingers, or drag, to look around" : "Drag to look around");
   }
 
   /** Says something for a moment, unless something is wrong. */
@@ -190,6 +198,7 @@ export class Panels {
       picture: () => void this.savePicture(),
       pose: () => void this.copyPose(),
       link: () => void this.copyLink(),
+      embed: () => void this.copyEmbed(),
       help: () => {
         this.toggleHelp();
       },
@@ -224,6 +233,9 @@ export class Panels {
     });
     this.field("figures").addEventListener("change", () => {
       this.toggleStatistics();
+    });
+    player.addEventListener("loadeddata", () => {
+      this.invite();
     });
     for (const name of ["pointermove", "pointerdown", "keydown", "focusin"] as const) {
       player.addEventListener(name, () => {
@@ -296,12 +308,22 @@ export class Panels {
     if (camera !== null) await this.copy(poseFile(camera), "Copied: save it as pose.json for decogs-decode --camera");
   }
 
-  private async copyLink(): Promise<void> {
+  /** The address of this page at this view and frame. */
+  private address(): string {
     const { view, currentFrame } = this.player;
-    if (view === null) return;
     const address = new URL(location.href);
-    address.hash = `camera=${cameraToLink(view.pose, view.lens)}&frame=${currentFrame}`;
-    await this.copy(address.href, "Copied: a link to this view and frame");
+    if (view !== null) address.hash = `camera=${cameraToLink(view.pose, view.lens)}&frame=${currentFrame}`;
+    return address.href;
+  }
+
+  private async copyLink(): Promise<void> {
+    await this.copy(this.address(), "Copied: a link to this view and frame");
+  }
+
+  private async copyEmbed(): Promise<void> {
+    const quoted = this.address().replace(/&/g, "&amp;").replace(/"/g, "&quot;");
+    const frame = `<iframe src="${quoted}" title="Free-viewpoint video" style="border: 0; width: 100%; aspect-ratio: 16 / 9" allow="fullscreen; clipboard-write"></iframe>`;
+    await this.copy(frame, "Copied: code that shows this page in yours");
   }
 
   private async copy(text: string, done: string): Promise<void> {

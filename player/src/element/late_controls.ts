@@ -82,6 +82,7 @@ export class LateControls {
     this.panels = new controls.Panels(this.player, this.root);
     this.panels.busy(this.#busy, this.#share);
     this.panels.warn(this.#warning);
+    this.panels.invite();
     this.panels.tellCamera();
     this.panels.refresh();
   }

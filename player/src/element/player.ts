@@ -4,6 +4,7 @@
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
+ * orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
  * gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
@@ -37,7 +38,7 @@ interface Left {
 const INSIDE = Symbol.for("decogs.inside");
 
 export class DecogsPlayer extends HTMLElement implements PlayerApi {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background"];
+  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits"];
 
   readonly #root = this.attachShadow({ mode: "open" });
   readonly #poster = document.createElement("img");
@@ -126,6 +127,8 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (name === "exact" && this.#pictures?.chooseExact(this.#exactChoice) === true) this.#wake();
     if (name === "recorded") void this.#chooseRecorded();
     if (name === "background") this.#pictures?.layBehind(value);
+    if (name === "orbit") this.#sway();
+    if (name === "limits") this.#limit();
     if (name === "camera" && value !== null) this.camera = value;
     this.#late.panels?.refresh();
   }
@@ -386,7 +389,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     this.#pictures?.judge();
     this.#late.panels?.tick(now);
     const waiting = playback.playing || stage.pending || stage.renderer.busy;
-    const flying = length(stage.navigation.flight) > 0;
+    const flying = length(stage.navigation.flight) > 0 || stage.navigation.isSwaying;
     if (waiting || flying) this.#wake();
   };
 
@@ -471,6 +474,17 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     const view = this.#startView ?? (left?.camera === "" ? left.view : null);
     if (view !== null) this.lookFrom(view.pose, view.lens);
     this.#startView = this.#left = null;
+    this.#limit();
+    this.#sway();
+  }
+
+  #limit(): void {
+    if (this.#pictures !== null) this.#pictures.stage.navigation.limited = this.getAttribute("limits") === "rig";
+  }
+
+  #sway(): void {
+    this.#pictures?.stage.navigation.sway(this.hasAttribute("orbit"));
+    this.#wake();
   }
 
   async #chooseRecorded(): Promise<void> {

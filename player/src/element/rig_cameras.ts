@@ -1,6 +1,7 @@
 /** The cameras of the rig: which one is looked through, and where the first picture is taken from. */
 import { extentOf, lookedAt } from "../camera/looked_at";
 import type { Navigation } from "../camera/navigation";
+import { RigRange } from "../camera/rig_range";
 import { upOf } from "../camera/up_direction";
 import { lensOf, poseOf } from "../geometry/poses";
 import { length, minus } from "../geometry/vectors";
@@ -19,6 +20,7 @@ export class RigCameras {
     navigation.pivot = lookedAt(poses);
     const centres = poses.map(({ centre }) => centre);
     const distances = centres.map((centre) => length(minus(centre, navigation.pivot))).sort((a, b) => a - b);
+    navigation.range = new RigRange(poses, navigation.pivot, navigation.up);
     navigation.size = distances[distances.length >> 1] || extentOf(centres) || 1;
   }
 

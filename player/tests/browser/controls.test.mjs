@@ -1,7 +1,7 @@
 // Hands on: mouse, keys, the bar and its menu, cameras of the rig, overlays, small screens.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { ready, started, until } from "./harness.mjs";
+import { ready, show, started, until } from "./harness.mjs";
 
 let browser;
 before(async () => (browser = await started()));
@@ -86,6 +86,48 @@ test("keys play, step, fly and change cameras", async () => {
   await until(page, "!player.shadowRoot.querySelector('.help').hidden");
   await page.keyboard.press("Escape");
   await until(page, "player.shadowRoot.querySelector('.help').hidden");
+  await page.context().close();
+});
+
+test("digits go to tenths of the time, comma and full stop step", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400 });
+  await ready(page);
+  await until(page, "player.frames.count === 300");
+  await page.keyboard.press("5");
+  await until(page, "player.info.frame === 150");
+  await page.keyboard.press(",");
+  await until(page, "player.info.frame === 149");
+  await page.keyboard.press(".");
+  await until(page, "player.info.frame === 150");
+  await page.context().close();
+});
+
+test("people are told that they may turn the picture, which turns by itself until they do", async () => {
+  const page = await browser.opened("dome", { width: 640, height: 400, query: "&orbit" });
+  await ready(page);
+  await until(page, "/Drag to look around/.test(player.shadowRoot.querySelector('.notice')?.textContent)");
+  const before = await state(page);
+  await until(page, `Math.hypot(...player.view.pose.centre.map((value, i) => value - [${before.centre}][i])) > 0.02`);
+  await dragged(page, 60, 0);
+  await rested(page);
+  const after = await state(page);
+  await page.waitForTimeout(400);
+  assert.deepEqual((await state(page)).centre, after.centre);
+  await page.context().close();
+});
+
+test("the menu copies code that shows the page at this view in another one", async () => {
+  const page = await browser.opened("long", { width: 640, height: 480 });
+  await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+  await ready(page);
+  await show(page, 7);
+  await page.locator("[name=menu]").click();
+  await page.locator("[name=embed]").click();
+  await until(page, "/Copied/.test(player.shadowRoot.querySelector('.notice').textContent)");
+  const code = await page.evaluate(() => navigator.clipboard.readText());
+  await page.setContent(code);
+  const frame = await (await page.locator("iframe").elementHandle()).contentFrame();
+  await until(frame, "player?.info?.frame === 7");
   await page.context().close();
 });
 
