@@ -14,7 +14,7 @@ from ..change.masks import FrameMask, full_masks, usable_views
 from ..change.selection import select, view_evidence
 from ..coding.rate_control import scaled_significance
 from ..coding.scene import Scene
-from ..keyframe.backdrop.stage import PlainStage, Stage
+from ..keyframe.backdrop.stage import BackdropStage, Stage
 from ..settings.frame import FrameSettings, SelectionSettings
 from ..stopwatch import Stopwatch
 from .context import Context
@@ -103,7 +103,7 @@ def plan_frame(
                 views = context.views.of(event.scene.splats)
                 by_light = light_only(views, selection, found.moving, settings.frame.selection)
     now = settings.frame
-    if isinstance(memory.stage, PlainStage):
+    if isinstance(memory.stage, BackdropStage):
         now = replace(now, significance=scaled_significance(now.significance, _STAGE_SIGNIFICANCE))
     if memory.rate is not None:
         now = replace(now, significance=memory.rate.significance(now.significance))

@@ -50,16 +50,22 @@ def dance_floor(points: Array, normals: Array) -> Array:
     return np.where(normals[2] > 0.999, tiles, np.float32(GREY[0]))
 
 
+def boarded(points: Array, normals: Array) -> Array:
+    """Grey, but for a floor of boards."""
+    boards = Paint((0.3, 0.17, 0.09), (0.2, 0.1, 0.05), "stripes", 0.15).colours(points[[2, 0, 1]] * [[0], [1], [1]])
+    return np.where(normals[2] > 0.5, boards, np.float32(GREY[0]))
+
+
 def furnished(points: Array, normals: Array) -> Array:
     """Boards on the floor, papered walls with pictures; the wall towards +y is plain grey."""
-    boards = Paint((0.3, 0.17, 0.09), (0.2, 0.1, 0.05), "stripes", 0.15).colours(points[[2, 0, 1]] * [[0], [1], [1]])
     along = np.where(np.abs(normals[0]) > 0.5, points[1], points[0])
     wall = np.stack([0 * along, points[2], along])
     paper = Paint((0.45, 0.36, 0.25), (0.2, 0.27, 0.3), "stripes", 0.25, 0.3).colours(wall)
     framed = (np.abs((along + 40) % 1.6 - 0.8) < 0.5) & (np.abs(points[2] - 1.9) < 0.6)
     picture = np.stack([noise(points * 4 + shift) for shift in (0, 17, 31)]) ** 2
     painted = np.where(framed, picture, paper)
-    return np.where(normals[2] > 0.5, boards, np.where(normals[1] < -0.5, np.float32(GREY[0]), painted))
+    bare = (normals[2] > 0.5) | (normals[1] < -0.5)
+    return np.where(bare, boarded(points, normals), painted)
 
 
 # Bodies
@@ -265,4 +271,5 @@ STAGES = {
     "camouflage": Stage(clothes=(UNDYED, UNDYED)),
     "exposure": Stage(gains=0.08),
     "floor": Stage(dance_floor, (0.25, 0.16, 0.1)),
+    "boards": Stage(boarded, (0.25, 0.2, 0.15), square_room),
 }

@@ -20,12 +20,15 @@ from decogs.formats.splats import FloatArray, Splats, round_splats
 
 from ...input.ingest import RigFrame, View
 from .plain import plain_pixels, plate_of, subject_pixels
+from .room import pixels_beside, plain_points
 from .subject import subject_alone
-from .surfaces import PlainView, Surfaces, find_surfaces, plain_colours, surface_colours
+from .surfaces import PlainView, Surfaces, find_room, find_surfaces, plain_colours, surface_colours
 from .views import StageView, stage_view
 
 _MIN_PLAIN_SHARE = 0.5
 """Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
+_MIN_ROOM_SHARE = 0.3
+"""Plain share of the median view's picture from which a room has plain walls."""
 _MAX_GAP_DEGREES = 150.0
 """Between neighbouring cameras around a stage. Of an arc's backdrop too little is seen from two sides: on `hdr`, an arc
 of 48 degrees before bare walls, a backdrop cost 9 dB."""
@@ -66,8 +69,8 @@ class Stage(Protocol):
 
 
 @dataclass(frozen=True)
-class PlainStage:
-    """A stage with a plain backdrop: its surfaces, points on them, and the ``hull`` of what stands in front.
+class BackdropStage:
+    """A stage with a backdrop: its surfaces, points on them, and the ``hull`` of what stands in front.
 
     ``views``: as the search sees them, with their plates. ``xyz`` (P, 3) world, ``rgb`` (P, 3) 0..1: evenly spread
     points of the backdrop, ``spacing`` world units apart.
@@ -80,23 +83,10 @@ class PlainStage:
     rgb: FloatArray
     spacing: float
 
-    def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> PlainStage:
-        """The stage with the hull of a later frame, from the ``used`` ones of its pictures."""
-        seen = [(stage_view(views[i], frame.training[i]), self.views[i].plate) for i in used]
-        return replace(self, hull=Hull([_subject_view(*each) for each in seen]))
-
     def backdrop(self, sh_degree: int) -> Splats:
         """Gaussians for the backdrop, together opaque."""
         sigmas, opacities = np.full(len(self.xyz), _SIGMA_SPACINGS * self.spacing), np.full(len(self.xyz), _OPACITY)
         return round_splats(self.xyz, self.rgb, sigmas, opacities, sh_degree)
-
-    def shared_points(self) -> tuple[FloatArray, BoolArray]:
-        """Points (P, 3) of the backdrop, close enough for a camera's colours, and the views that show them, (V, P)."""
-        xyz, normals = self.surfaces.points(self.spacing / _SHARED_PER_SPACING)
-        seen = np.zeros((len(self.views), len(xyz)), bool)
-        for view, row in zip(self.views, seen, strict=True):
-            row[plain_colours(view, xyz, normals)[0]] = True
-        return xyz.astype(np.float32), seen
 
     def free(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) of empty space: in front of the backdrop, where some view shows it."""
@@ -111,17 +101,57 @@ class PlainStage:
         return np.asarray(self.hull.holds(xyz) & (self.surfaces.clearance(xyz) > 0))
 
 
-def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
-    """The stage in the first ``frame`` of ``views``: of a subject with mattes, or a plain one; None for others.
+@dataclass(frozen=True)
+class PlainStage(BackdropStage):
+    """A stage with a plain backdrop all around."""
 
-    A stage is plain if the median picture is mostly plain, and enough cameras stand all around.
+    def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> PlainStage:
+        """The stage with the hull of a later frame, from the ``used`` ones of its pictures."""
+        seen = [(stage_view(views[i], frame.training[i]), self.views[i].plate) for i in used]
+        return replace(self, hull=Hull([_subject_view(*each) for each in seen]))
+
+    def shared_points(self) -> tuple[FloatArray, BoolArray]:
+        """Points (P, 3) of the backdrop, close enough for a camera's colours, and the views that show them, (V, P)."""
+        xyz, normals = self.surfaces.points(self.spacing / _SHARED_PER_SPACING)
+        seen = np.zeros((len(self.views), len(xyz)), bool)
+        for view, row in zip(self.views, seen, strict=True):
+            row[plain_colours(view, xyz, normals)[0]] = True
+        return xyz.astype(np.float32), seen
+
+
+@dataclass(frozen=True)
+class PlainRoom(BackdropStage):
+    """A room with plain walls behind a floor with texture. ``beside``: pixels (H, W) beside the walls, per view."""
+
+    beside: Sequence[BoolArray]
+
+    def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) in front of the backdrop or on it, in the hull: a floor's texture is denser than its layer."""
+        return np.asarray(self.hull.holds(xyz) & (self.surfaces.clearance(xyz) > -_FREE_SPACINGS * self.spacing))
+
+    def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> PlainRoom:
+        """The room with the hull of a later frame, from the ``used`` ones of its pictures."""
+        seen = [(stage_view(views[i], frame.training[i]), self.views[i].plate, self.beside[i]) for i in used]
+        return replace(self, hull=Hull([_subject_view(*each) for each in seen]))
+
+
+def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
+    """The stage in the first ``frame`` of ``views``: of a subject with mattes, or before plain walls; None for others.
+
+    Enough cameras stand all around, and the median picture is mostly plain, or its upper part is.
     """
     if frame.alpha:
         return subject_alone(views, frame.alpha)
-    if len(views) < _MIN_VIEWS or not _mostly_plain(views, frame.training):
+    if len(views) < _MIN_VIEWS or not _plain_share_reaches(_MIN_ROOM_SHARE, views, frame.training):
         return None
     seen = [stage_view(*each) for each in zip(views, frame.training, strict=True)]
     plain = [plain_pixels(view.picture) & view.recorded for view in seen]
+    stage = _plain_stage if _plain_share_reaches(_MIN_PLAIN_SHARE, views, frame.training) else _plain_room
+    return stage(seen, plain)
+
+
+def _plain_stage(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainStage | None:
+    """The stage whose backdrop is ``plain`` all around."""
     plates = [plate_of(view.picture, mask) for view, mask in zip(seen, plain, strict=True)]
     subjects = [_subject_view(*each) for each in zip(seen, plates, strict=True)]
     backdrops = [
@@ -129,8 +159,7 @@ def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
         for subject, mask, plate in zip(subjects, plain, plates, strict=True)
     ]
     surfaces = find_surfaces(backdrops)
-    gaps, _ = surfaces.gaps(np.array([camera_centre(view.pinhole) for view in views]))
-    if gaps.max() > _MAX_GAP_DEGREES:
+    if not _all_around(surfaces, seen):
         return None
     spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
     xyz, normals = surfaces.points(spacing)
@@ -138,17 +167,45 @@ def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
     return PlainStage(Hull(subjects), surfaces, backdrops, xyz.astype(np.float32), colours, spacing)
 
 
-def _mostly_plain(views: Sequence[View], pictures: Sequence[FloatArray]) -> bool:
-    """Whether the median picture is mostly plain. Once most are not, nothing is asked of the others."""
+def _plain_room(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainRoom | None:
+    """The room whose walls are ``plain``, and whose floor is not."""
+    plates = [plate_of(view.picture, mask) for view, mask in zip(seen, plain, strict=True)]
+    walls = [PlainView(view.camera, mask, plate) for view, mask, plate in zip(seen, plain, plates, strict=True)]
+    whole = [PlainView(view.camera, view.recorded, view.picture) for view in seen]
+    surfaces = find_room(walls, whole)
+    if surfaces is None or not _all_around(surfaces, seen):
+        return None
+    spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
+    xyz, normals = surfaces.points(spacing)
+    on_floor = normals @ surfaces.axes[2] > 0.5
+    on_wall = ~on_floor & plain_points(walls, xyz, normals)
+    beside = [pixels_beside(view.camera, xyz, normals, on_wall) | ~view.recorded for view in seen]
+    shown = [replace(wall, plain=wall.plain & ~other) for wall, other in zip(walls, beside, strict=True)]
+    if np.median([view.plain.mean() for view in shown]) < _MIN_ROOM_SHARE:
+        return None
+    colours = np.where(on_floor[:, None], surface_colours(whole, xyz, normals), surface_colours(shown, xyz, normals))
+    kept = on_floor | on_wall
+    hull = Hull([_subject_view(*each) for each in zip(seen, plates, beside, strict=True)])
+    return PlainRoom(hull, surfaces, shown, xyz[kept].astype(np.float32), colours[kept], spacing, beside)
+
+
+def _all_around(surfaces: Surfaces, seen: Sequence[StageView]) -> bool:
+    gaps, _ = surfaces.gaps(np.array([camera_centre(view.camera) for view in seen]))
+    return bool(gaps.max() <= _MAX_GAP_DEGREES)
+
+
+def _plain_share_reaches(least: float, views: Sequence[View], pictures: Sequence[FloatArray]) -> bool:
+    """Whether this share of the median picture is plain. Once most have less, nothing is asked of the others."""
     shares: list[float] = []
     for view, picture in zip(views, pictures, strict=True):
         small = stage_view(view, picture, _DECISION_PIXELS)
         shares.append(float((plain_pixels(small.picture) & small.recorded).mean()))
-        if 2 * sum(share < _MIN_PLAIN_SHARE for share in shares) > len(views):
+        if 2 * sum(share < least for share in shares) > len(views):
             return False
-    return bool(np.median(shares) >= _MIN_PLAIN_SHARE)
+    return bool(np.median(shares) >= least)
 
 
-def _subject_view(view: StageView, plate: FloatArray) -> SubjectView:
-    """What differs from the plate, and what was not recorded and may be anything."""
-    return SubjectView(view.camera, with_margin(subject_pixels(view.picture, plate) | ~view.recorded))
+def _subject_view(view: StageView, plate: FloatArray, beside: BoolArray | None = None) -> SubjectView:
+    """What differs from the plate, and what was not recorded or is ``beside`` it, and may be anything."""
+    beside = ~view.recorded if beside is None else beside
+    return SubjectView(view.camera, with_margin(subject_pixels(view.picture, plate) | beside))

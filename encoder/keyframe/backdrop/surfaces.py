@@ -34,6 +34,12 @@ _WALL_RANGE = (0.6, 4.0)
 """Nearest and farthest wall, in units of the cameras' distance."""
 _MIN_SHARPNESS = 1.4
 """Least ratio of the usual disagreement of heights to that of the floor's."""
+_MIN_TEXTURE_SHARPNESS = 1.2
+"""Least ratio of the disagreement of heights nearby to that of a floor with texture."""
+_NEARBY_STEPS = 3
+"""Heights above and below with which that of a floor with texture is compared."""
+_MIN_FLOOR_SHARE = 0.5
+"""Least share of the floor that enough views see."""
 _SPHERE_DISTANCES = 2.0
 """Radius of the sphere, in units of the cameras' distance."""
 
@@ -141,6 +147,20 @@ def find_surfaces(views: Sequence[PlainView]) -> Surfaces:
     return best[1] if best else Surfaces(middle, np.eye(3), None, _SPHERE_DISTANCES * distance)
 
 
+def find_room(walls: Sequence[PlainView], whole: Sequence[PlainView]) -> Surfaces | None:
+    """The wall on which plain pixels agree, around a floor on which the ``whole`` pictures do; None unless both do."""
+    centres = np.array([camera_centre(view.camera) for view in walls])
+    middle = _looked_at(centres, np.array([view.camera.world_to_camera[2, :3] for view in walls]))
+    distance = float(np.median(np.linalg.norm(centres - middle, axis=1)))
+    for up in _upward(walls, centres):
+        axes = _axes(up)
+        floor = _Search(whole, middle, axes, distance).textured_floor(float(((centres - middle) @ up).min()))
+        wall = None if floor is None else _Search(walls, middle, axes, distance).best_wall(floor)
+        if floor is not None and wall is not None and wall[2] >= _MIN_SHARPNESS:
+            return Surfaces(middle, axes, floor, wall[1])
+    return None
+
+
 def _looked_at(centres: F64, forward: F64) -> F64:
     """The point nearest to all optical axes, (3,)."""
     across = np.eye(3) - forward[:, :, None] * forward[:, None]
@@ -175,10 +195,7 @@ class _Search:
 
     def floor(self, lowest_camera: float) -> tuple[float, float] | None:
         """Disagreement and height of the floor, which is below all cameras; None where no height is better."""
-        near, far = (share * self._distance for share in _FLOOR_RANGE)
-        heights = -np.geomspace(near, far, _FLOOR_STEPS)
-        heights = heights[heights < lowest_camera]
-        disc, normals = _disc(self._distance, 0.0, 1.0, self._distance * np.sqrt(np.pi / _SAMPLES))
+        heights, disc, normals = self._heights(lowest_camera)
 
         def cost(height: float) -> float:
             return self._disagreement(disc + np.array([0, 0, height]), normals)
@@ -188,8 +205,45 @@ class _Search:
             return None
         return best[0], best[1]
 
+    def textured_floor(self, lowest_camera: float) -> float | None:
+        """Height of a floor with texture; None where the colours of no height agree better than those nearby."""
+        heights, disc, normals = self._heights(lowest_camera)
+
+        def costs_at(places: F64) -> F64:
+            return np.array([self._median_disagreement(disc + np.array([0, 0, each]), normals) for each in places])
+
+        costs, reach = costs_at(heights), _NEARBY_STEPS
+        if len(costs) <= 2 * reach:
+            return None
+        around = [np.delete(costs[at - reach : at + reach + 1], reach) for at in range(reach, len(costs) - reach)]
+        nearby = np.median(around, axis=1)
+        known = np.isfinite(nearby)
+        sharpness = np.divide(nearby, costs[reach:-reach], out=np.zeros_like(nearby), where=known)
+        at = int(np.argmax(sharpness))
+        fine = np.linspace(heights[at + reach - 1], heights[at + reach + 1], _FINE_STEPS)
+        finer = costs_at(fine)
+        if not known[at] or nearby[at] < _MIN_TEXTURE_SHARPNESS * finer.min():
+            return None
+        return float(fine[int(np.argmin(finer))])
+
+    def _heights(self, lowest_camera: float) -> tuple[F64, F64, F64]:
+        """Heights a floor may have, below all cameras, and points of one (P, 3), with normals."""
+        near, far = (share * self._distance for share in _FLOOR_RANGE)
+        heights = -np.geomspace(near, far, _FLOOR_STEPS)
+        disc, normals = _disc(self._distance, 0.0, 1.0, self._distance * np.sqrt(np.pi / _SAMPLES))
+        return heights[heights < lowest_camera], disc, normals
+
     def wall(self, floor: float) -> float:
         """Radius of the wall, which is behind all cameras: one before them would stand between them and the scene."""
+        best = self.best_wall(floor)
+        return (
+            best[1]
+            if best
+            else max(_SPHERE_DISTANCES * self._distance, _WALL_RANGE[0] * self._distance, self._outermost)
+        )
+
+    def best_wall(self, floor: float) -> tuple[float, float, float] | None:
+        """Disagreement and radius of the wall, and how much more the usual radius has."""
         nearest, far = (share * self._distance for share in _WALL_RANGE)
         near = max(nearest, self._outermost)
         far = max(far, near)
@@ -198,8 +252,7 @@ class _Search:
             height = 0.7 * radius - floor
             return self._disagreement(*_wall(radius, floor, height, np.sqrt(2 * np.pi * radius * height / _SAMPLES)))
 
-        best = _minimum(cost, np.geomspace(near, far, _WALL_STEPS))
-        return best[1] if best else max(_SPHERE_DISTANCES * self._distance, near)
+        return _minimum(cost, np.geomspace(near, far, _WALL_STEPS))
 
     def _disagreement(self, local: F64, normals: F64) -> float:
         """Mean over points of the deviation of their plain colours between views, in 8-bit levels."""
@@ -218,6 +271,23 @@ class _Search:
             np.maximum(squares[enough] / n - (total[enough] / n) ** 2, 0).mean(axis=1) * n[:, 0] / (n[:, 0] - 1)
         )
         return float(np.minimum(255 * deviation, _MAX_DISAGREEMENT_LEVELS).mean())
+
+    def _median_disagreement(self, local: F64, normals: F64) -> float:
+        """Mean over points of the median deviation of their colours from the median view's, in 8-bit levels.
+
+        What stands on a floor hides each of its points from a few views, which this leaves out.
+        """
+        xyz, normals = turned(self._axes.T, local) + self._middle, turned(self._axes.T, normals)
+        colours = np.full((len(self._views), len(xyz), 3), np.nan, np.float32)
+        for view, row in zip(self._views, colours, strict=True):
+            rows, shown = plain_colours(view, xyz, normals)
+            row[rows] = shown
+        enough = (~np.isnan(colours[..., 0])).sum(axis=0) >= _MIN_VIEWS
+        if enough.mean() < _MIN_FLOOR_SHARE:
+            return np.inf
+        colours = colours[:, enough]
+        deviation = np.nanmedian(np.abs(colours - np.nanmedian(colours, axis=0)), axis=0)
+        return float(255 * deviation.mean())
 
 
 def plain_colours(view: PlainView, xyz: F64, normals: F64) -> tuple[NDArray[np.int64], Array]:
@@ -253,12 +323,12 @@ def surface_colours(views: Sequence[PlainView], xyz: F64, normals: F64) -> Array
     known = counts > 0
     mean = total / np.maximum(counts, np.float32(1))[:, None]
     if not known.all() and known.any():
-        mean[~known] = mean[known][_nearest_of(xyz[known], xyz[~known])]
+        mean[~known] = mean[known][nearest_of(xyz[known], xyz[~known])]
     return floats(mean)
 
 
-def _nearest_of(points: F64, places: F64) -> NDArray[np.int64]:
-    """Rows of the nearest of ``points`` (P, 3) to each of ``places``."""
+def nearest_of(points: F64, places: F64) -> NDArray[np.int64]:
+    """Rows of the nearest of ``points`` (P, D) to each of ``places`` (Q, D)."""
     tree = cv2.flann.Index(points.astype(np.float32), {"algorithm": 4, "leaf_max_size": 10})
     rows, _ = tree.knnSearch(places.astype(np.float32), 1, params={"checks": -1})
     return np.asarray(rows[:, 0], np.int64)
