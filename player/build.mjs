@@ -17,6 +17,7 @@ const bundles = {
   // What the sources import() comes when it is needed: controls behind the first picture, the others when they are asked for.
   "decogs-controls": "controls/index",
   "decogs-recorded": "draw/recorded_pass",
+  "decogs-xr": "xr/show",
   // A worker of several files, or WebAssembly beside it, is more than bundlers can be trusted with.
   ...(forPackage ? { "decogs-decoder": "decoder" } : { "decogs-exact": "worker/exact_pictures" }),
 };
@@ -80,7 +81,7 @@ if (forPackage) {
 /** Declarations, with the endings that Node's way of finding modules wants. */
 function writeTypes(folder) {
   const entries = ["src/element/index.ts", "src/decoder.ts", "src/imports.d.ts"];
-  const options = ["--ignoreConfig", "--declaration", "--emitDeclarationOnly", "--outDir", folder, "--rootDir", "src", "--skipLibCheck", "--strict"];
+  const options = ["--ignoreConfig", "--declaration", "--emitDeclarationOnly", "--outDir", folder, "--rootDir", "src", "--skipLibCheck", "--strict", "--types", "webxr"];
   const language = ["--target", "es2022", "--module", "es2022", "--moduleResolution", "bundler", "--lib", "es2022,dom,dom.iterable,webworker"];
   execFileSync(process.execPath, [join(here, "node_modules/typescript/bin/tsc"), ...entries, ...options, ...language], { cwd: here, stdio: "inherit" });
   for (const name of readdirSync(folder, { recursive: true }).filter((each) => each.endsWith(".d.ts"))) {

@@ -104,6 +104,9 @@ export interface PlayerApi extends HTMLElement {
   backToCamera(): void;
   /** Looks from anywhere. */
   lookFrom(pose: Pose, lens: Lens): void;
+  /** Shows the scene in a headset. To be called while a click is handled; rejects where there is none. */
+  enterXr(mode: "immersive-vr" | "immersive-ar"): Promise<void>;
+  leaveXr(): Promise<void>;
   /** Flies on until another direction is told: right, up, forward, 1 for the usual speed. */
   fly(direction: Vector): void;
   /** Where the camera's own picture lies in the element; null for a free camera. */

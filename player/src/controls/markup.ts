@@ -42,6 +42,8 @@ export function markup(): string {
   <button type="button" name="pose">Copy camera as pose.json</button>
   <button type="button" name="link">Copy link to this view</button>
   <button type="button" name="embed">Copy code to embed it</button>
+  <button type="button" name="vr" hidden>Enter VR</button>
+  <button type="button" name="ar" hidden>Enter AR</button>
   <button type="button" name="help">Help</button>
 </div>
 <div class="bar panel" part="controls">

@@ -190,6 +190,7 @@ export class Panels {
         player.nextCamera(1);
       },
       menu: () => {
+        void this.offerXr();
         this.toggle(".menu");
       },
       full: () => {
@@ -199,6 +200,8 @@ export class Panels {
       pose: () => void this.copyPose(),
       link: () => void this.copyLink(),
       embed: () => void this.copyEmbed(),
+      vr: () => void this.enterXr("immersive-vr"),
+      ar: () => void this.enterXr("immersive-ar"),
       help: () => {
         this.toggleHelp();
       },
@@ -320,9 +323,24 @@ export class Panels {
     await this.copy(this.address(), "Copied: a link to this view and frame");
   }
 
+  private async enterXr(mode: "immersive-vr" | "immersive-ar"): Promise<void> {
+    try {
+      await this.player.enterXr(mode);
+    } catch (error) {
+      this.say(error instanceof Error ? error.message : String(error), false);
+    }
+  }
+
+  /** Shows what can be entered; a headset may be plugged in later. */
+  private async offerXr(): Promise<void> {
+    for (const [name, mode] of [["vr", "immersive-vr"], ["ar", "immersive-ar"]] as const) {
+      this.field(name).hidden = !((await navigator.xr?.isSessionSupported(mode).catch(() => false)) ?? false);
+    }
+  }
+
   private async copyEmbed(): Promise<void> {
     const quoted = this.address().replace(/&/g, "&amp;").replace(/"/g, "&quot;");
-    const frame = `<iframe src="${quoted}" title="Free-viewpoint video" style="border: 0; width: 100%; aspect-ratio: 16 / 9" allow="fullscreen; clipboard-write"></iframe>`;
+    const frame = `<iframe src="${quoted}" title="Free-viewpoint video" style="border: 0; width: 100%; aspect-ratio: 16 / 9" allow="fullscreen; clipboard-write; xr-spatial-tracking"></iframe>`;
     await this.copy(frame, "Copied: code that shows this page in yours");
   }
 

@@ -10,6 +10,15 @@ export interface DrawTimes {
   drawMs: number;
 }
 
+/** Where a picture goes that is not for the canvas: its lower left corner in a framebuffer. */
+export interface Target {
+  readonly framebuffer: WebGLFramebuffer | null;
+  readonly x: number;
+  readonly y: number;
+  /** Whether nothing is to lie behind the scene. */
+  readonly clear: boolean;
+}
+
 export interface Renderer {
   /** Where pictures appear; `draw` gives it the camera's size. */
   readonly canvas: HTMLCanvasElement;

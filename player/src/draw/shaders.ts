@@ -162,9 +162,10 @@ export const FINISH_FRAGMENT_SHADER = /* glsl */ `#version 300 es
 precision highp float;
 uniform sampler2D accumulated;
 uniform vec4 background;
+uniform ivec2 corner;
 out vec4 result;
 void main() {
-  vec4 sum = texelFetch(accumulated, ivec2(gl_FragCoord.xy), 0);
+  vec4 sum = texelFetch(accumulated, ivec2(gl_FragCoord.xy) - corner, 0);
   vec4 seen = vec4(sum.rgb, 1.0 - sum.a) + sum.a * background;
   result = vec4(min(seen.rgb, seen.a), seen.a);
 }

@@ -6,7 +6,7 @@ import type { StreamHeader } from "../scene";
 import { Accumulation } from "./accumulation";
 import { GpuClock } from "./gpu_clock";
 import { linked, type Program } from "./program";
-import type { DrawTimes, Renderer } from "./renderer";
+import type { DrawTimes, Renderer, Target } from "./renderer";
 import { SceneTextures } from "./scene_textures";
 import { recordedPass } from "./recorded";
 import type { RecordedPass } from "./recorded_pass";
@@ -25,6 +25,7 @@ interface Resources {
   recorded: RecordedPass | null;
 }
 
+const NOTHING = [0, 0, 0, 0] as const;
 /** Names of drivers that draw on the processor: not every browser calls them slow. */
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
@@ -66,7 +67,7 @@ export class WebGlRenderer implements Renderer {
   begin(layout: TextureLayout, { background, subject }: StreamHeader): void {
     this.release();
     this.layout = layout;
-    this.background = subject ? [0, 0, 0, 0] : [...background, 1];
+    this.background = subject ? NOTHING : [...background, 1];
     this.count = 0;
     if (!this.gl.isContextLost()) this.resources = this.made(layout);
   }
@@ -92,22 +93,45 @@ export class WebGlRenderer implements Renderer {
     const recording = recordedPass() === null ? null : camera.recording;
     if (recording) resources.recorded ??= new (recordedPass()!)(gl, (fragment) => linked(gl, SCREEN_VERTEX_SHADER, fragment));
     const drawn = recording ? resources.recorded!.seenBy(camera, recording) : camera;
-    resources.accumulation.begin(drawn.width, drawn.height);
-    gl.useProgram(resources.splats.program);
-    this.setCamera(resources.splats, drawn);
-    gl.uniform1i(resources.splats.uniform("overlay"), OVERLAYS.indexOf(overlay));
-    resources.textures.bind();
-    gl.uniform1i(resources.splats.uniform("count"), this.count);
-    gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0, Math.ceil(this.count / BATCH));
-    resources.accumulation.end();
+    this.accumulate(resources, drawn, overlay);
     gl.viewport(0, 0, width, height);
     if (recording) resources.recorded!.use(camera, recording, this.background);
-    else {
-      gl.useProgram(resources.finish.program);
-      gl.uniform4fv(resources.finish.uniform("background"), this.background);
-    }
+    else this.useFinish(resources, this.background, 0, 0);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     resources.clock.start((ms) => (this.times.drawMs = ms));
+  }
+
+  get context(): WebGL2RenderingContext {
+    return this.gl;
+  }
+
+  /** A pinhole's picture for a headset. */
+  drawInto(camera: PinholeCamera, overlay: Overlay, { framebuffer, x, y, clear }: Target): void {
+    const { gl, resources } = this;
+    if (resources === null || gl.isContextLost()) return;
+    this.accumulate(resources, camera, overlay);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.viewport(x, y, camera.width, camera.height);
+    this.useFinish(resources, clear ? NOTHING : this.background, x, y);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  private accumulate({ accumulation, splats, textures }: Resources, camera: PinholeCamera, overlay: Overlay): void {
+    const { gl } = this;
+    accumulation.begin(camera.width, camera.height);
+    gl.useProgram(splats.program);
+    this.setCamera(splats, camera);
+    gl.uniform1i(splats.uniform("overlay"), OVERLAYS.indexOf(overlay));
+    textures.bind();
+    gl.uniform1i(splats.uniform("count"), this.count);
+    gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0, Math.ceil(this.count / BATCH));
+    accumulation.end();
+  }
+
+  private useFinish({ finish }: Resources, background: readonly number[], x: number, y: number): void {
+    this.gl.useProgram(finish.program);
+    this.gl.uniform4fv(finish.uniform("background"), background);
+    this.gl.uniform2i(finish.uniform("corner"), x, y);
   }
 
   dispose(): void {

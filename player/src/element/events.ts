@@ -22,4 +22,7 @@ export type PlayerEvent =
   | "progress"
   | "ratechange"
   /** A picture of another camera of the rig, or of none: `player.camera`. */
-  | "camerachange";
+  | "camerachange"
+  /** Somebody looks at the scene in a headset, and looks no longer. */
+  | "xrstart"
+  | "xrend";

@@ -3,6 +3,7 @@ import { attachPointer } from "../camera/pointer";
 import { ExactCanvas } from "../draw/exact_canvas";
 import { createRenderer } from "../draw/index";
 import type { Renderer } from "../draw/renderer";
+import type { WebGlRenderer } from "../draw/webgl_renderer";
 import type { PinholeCamera } from "../geometry/camera";
 import type { Overlay } from "../player_api";
 import type { DepthRow, ExactPicture, TextureLayout } from "../messages";
@@ -42,7 +43,7 @@ export class Pictures {
   /** It lies over the other one, which takes what the pointer does. */
   readonly #exactCanvas = canvasOf("picture exact");
   /** null without WebGL2: then the kernel draws. */
-  #fast: Renderer | null;
+  #fast: WebGlRenderer | null;
   #lostTimer = 0;
   #choice: ExactChoice;
   /** Slow pictures of the graphics card in a row, and what the last one took. */
@@ -77,6 +78,12 @@ export class Pictures {
 
   get canChooseExact(): boolean {
     return this.#fast !== null;
+  }
+
+  /** What draws for headsets; null without WebGL2. From now on it draws, whatever was chosen. */
+  forHeadset(): WebGlRenderer | null {
+    this.chooseExact(false);
+    return this.#fast;
   }
 
   get exact(): boolean {
@@ -176,7 +183,7 @@ function canvasOf(className: string): HTMLCanvasElement {
   return canvas;
 }
 
-function fastRenderer(canvas: HTMLCanvasElement, onRestored: () => void, onLost: () => void): Renderer | null {
+function fastRenderer(canvas: HTMLCanvasElement, onRestored: () => void, onLost: () => void): WebGlRenderer | null {
   try {
     return createRenderer(canvas, onRestored, onLost);
   } catch {

@@ -17,6 +17,7 @@ import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type 
 import type { StreamHeader } from "../scene";
 import type { PlayerEvent } from "./events";
 import { adopt } from "../adopted_style";
+import { Headset } from "./headset";
 import { LateControls } from "./late_controls";
 import { Pictures, type ExactChoice, type PicturesHost } from "./pictures";
 import { Ranges } from "./ranges";
@@ -67,6 +68,18 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     },
     autoplay: () => this.autoplay,
   });
+  readonly #headset = new Headset(
+    this.#session,
+    () => {
+      this.#pictures?.chooseExact(this.#exactChoice);
+      this.#tell("xrend");
+      this.#wake();
+    },
+    () => {
+      if (this.paused) this.play().catch(() => undefined);
+      else this.pause();
+    },
+  );
   #pictures: Pictures | null = null;
   #cameras: RigCameras | null = null;
   /** What to look at when the next stream has come. */
@@ -350,6 +363,16 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     }
   }
 
+  async enterXr(mode: "immersive-vr" | "immersive-ar"): Promise<void> {
+    if (this.#pictures === null || this.info === null) throw new Error("there is no picture yet");
+    await this.#headset.enter(mode, this.#pictures);
+    this.#tell("xrstart");
+  }
+
+  leaveXr(): Promise<void> {
+    return this.#headset.leave();
+  }
+
   fly(direction: Vector): void {
     if (this.#pictures === null) return;
     this.#pictures.stage.navigation.flight = direction;
@@ -383,7 +406,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     const seconds = Math.min(LONGEST_STEP, Math.max(0, (now - this.#lastTick) / 1000));
     this.#lastTick = now;
     const stage = this.#pictures?.stage;
-    if (stage === undefined) return;
+    if (stage === undefined || this.#headset.entered) return;
     this.#session.advance(seconds);
     if (stage.step(now, seconds, playback.playing)) this.#poster.hidden = true;
     this.#pictures?.judge();
@@ -417,6 +440,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
 
   /** Gives everything back that an element outside of the page does not need. */
   #leave(): void {
+    void this.#headset.leave();
     const { header, view, currentFrame: frame, camera } = this;
     if (header !== null) this.#left = { source: this.#source, frame, camera, view };
     this.#close();

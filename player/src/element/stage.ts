@@ -168,9 +168,14 @@ export class Stage {
     return asItStood(worldToCamera(this.navigation.pose), recorded?.correction ?? null);
   }
 
-  /** Asks for the order that the camera needs, if another one than before. */
+  /** Asks for the order that the camera needs. */
   private look(): void {
     const [, , row] = this.standing(this.recorded()) as readonly DepthRow[];
+    this.sortFor(row);
+  }
+
+  /** Asks for the order of a view, if another one than before. */
+  sortFor(row: DepthRow): void {
     if (this.asked?.every((part, i) => part === row[i]) || this.answered < this.serial) return;
     this.asked = row;
     this.askOrder(row, ++this.serial);
