@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import http.client
 import os
 import signal
@@ -148,6 +149,18 @@ def test_the_page_and_its_types(served: StreamServer, small_stream: Any) -> None
             assert ask(served.url, path.name).body == path.read_bytes()
     assert ask(served.url, "decogs-player.js").headers["Content-Type"].startswith("text/javascript")
     assert ask(served.url, "decogs-exact.wasm").headers["Content-Type"] == "application/wasm"
+
+
+def test_the_page_comes_compressed_to_who_takes_that_and_the_stream_never(
+    served: StreamServer, small_stream: Any
+) -> None:
+    worker = ask(served.url, "decogs-worker.js", Accept_Encoding="gzip, br")
+    assert worker.headers["Content-Encoding"] == "gzip"
+    assert len(worker.body) == int(worker.headers["Content-Length"]) < 30_000
+    assert gzip.decompress(worker.body) == (page_files.PAGE / "decogs-worker.js").read_bytes()
+    stream = ask(served.url, small_stream.path.name, Accept_Encoding="gzip")
+    assert stream.headers["Content-Encoding"] is None
+    assert stream.body == small_stream.path.read_bytes()
 
 
 @pytest.mark.parametrize(
