@@ -46,11 +46,11 @@ export class Pictures {
   #fast: WebGlRenderer | null;
   #lostTimer = 0;
   #choice: ExactChoice;
-  /** Slow pictures of the graphics card in a row, and what the last one took. */
+  /** Slow pictures of the graphics card in a row, and of the kernel those that took longer still; what the last one of the first took. */
   #slow = 0;
-  #slowMs = 0;
+  #slower = 0;
+  #fastMs = 0;
   #judgedMs = 0;
-  #kernelIsSlower = false;
   #overlay: Overlay = "none";
   readonly #detachPointer: () => void;
   #exactly: ExactCanvas | null = null;
@@ -103,24 +103,24 @@ export class Pictures {
   }
 
   /**
-   * Where nobody has chosen: slow pictures of the graphics card give way to the kernel's, and those that are slower still
-   * to the graphics card's again, for good. Asked once a picture.
+   * Where nobody has chosen: slow pictures of the graphics card give way to the kernel's, and those of the kernel that are slow,
+   * too, and slower, to the graphics card's again, for good. Asked once a picture.
    */
   judge(): void {
     const { drawMs } = this.stage.renderer.times;
     if (this.#choice !== null || this.#fast === null || drawMs === this.#judgedMs) return;
     this.#judgedMs = drawMs;
     if (this.exact) {
-      if (!this.#kernelIsSlower && this.#slowMs > 0 && drawMs > this.#slowMs) this.#kernelIsSlower = true;
+      this.#slower = this.#fastMs > 0 && drawMs > Math.max(SLOW_MS, this.#fastMs) ? this.#slower + 1 : 0;
     } else {
       this.#slow = drawMs > SLOW_MS ? this.#slow + 1 : 0;
-      this.#slowMs = drawMs;
+      this.#fastMs = drawMs;
     }
     if (this.#change()) this.host.changed();
   }
 
   get #automatic(): boolean {
-    return !this.#kernelIsSlower && this.#overlay === "none" && (this.#fast?.inSoftware === true || this.#slow >= SLOW_PICTURES);
+    return this.#slower < SLOW_PICTURES && this.#overlay === "none" && (this.#fast?.inSoftware === true || this.#slow >= SLOW_PICTURES);
   }
 
   #change(): boolean {
