@@ -128,7 +128,8 @@ export class Session {
     const { playback } = this;
     const wasPlaying = playback.playing;
     if (this.waiting && this.#enough()) this.#goOn();
-    if (!this.waiting) playback.advance(seconds, this.info?.frame ?? playback.due);
+    // Time begins with the first picture.
+    if (!this.waiting && this.info !== null) playback.advance(seconds, this.info.frame);
     if (playback.frameCount > 0 && playback.due !== this.#requested) this.#request(playback.due);
     if (!wasPlaying || !playback.ended) return;
     this.host.tell("pause");

@@ -48,6 +48,8 @@ class Loading {
   failure: unknown = null;
   /** The block that comes next. */
   next: number;
+  /** Whether it goes on although nobody waits. */
+  kept = false;
   private waiting = 0;
   private wakers: (() => void)[] = [];
 
@@ -76,7 +78,7 @@ class Loading {
       if (this.next <= number && this.failure !== null) throw this.failure as Error;
     } finally {
       signal?.removeEventListener("abort", leave);
-      if (--this.waiting === 0 && !this.settled) this.controller.abort();
+      if (--this.waiting === 0 && !this.settled && !this.kept) this.controller.abort();
     }
   }
 }
@@ -267,6 +269,7 @@ export class CachedSource implements ByteSource {
       if (this.isHeld(number)) continue;
       const loading = this.loading.get(number) ?? this.start(number, lastAsked);
       if (number <= last) waited.set(loading, number);
+      else loading.kept = true;
     }
     await Promise.all([...waited].map(([loading, number]) => loading.until(number, signal)));
   }
@@ -296,6 +299,7 @@ export class CachedSource implements ByteSource {
     const came = (bytes: Uint8Array): void => {
       this.keep(loading.next, bytes);
       forget(loading.next++);
+      loading.settled = loading.next === end; // nothing is left to give up, and the connection serves the next request
       loading.progress();
       this.onChange?.();
     };

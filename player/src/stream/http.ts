@@ -107,8 +107,10 @@ export class HttpFeed implements Feed {
     // Another site's server may not let scripts see how large the whole is.
     this.size ??= totalOf(answer) ?? (await this.wholeSize());
     let come = 0;
+    const download = new Download(answer);
     try {
-      come = await new Download(answer).take(length, take);
+      come = await download.take(length, take);
+      void download.finish();
     } catch (error) {
       throw signal.aborted ? signal.reason : this.broken(String(error), true, true);
     }
@@ -240,6 +242,12 @@ class Download {
       this.advance(part);
       left -= part;
     }
+  }
+
+  /** Reads to the end, where it is expected: then the connection serves the next request. */
+  async finish(): Promise<void> {
+    const more = await this.fill().catch(() => false);
+    if (more) await this.stop();
   }
 
   private advance(bytes: number): void {

@@ -24,6 +24,8 @@ export interface StreamOptions {
   /** Limits on what is decoded; those of SPEC section 8 when left out. */
   readonly limits?: Partial<Limits>;
   readonly signal?: AbortSignal;
+  /** Whether what follows a frame is read while it is decoded, without `prefetch`. */
+  readonly ahead?: boolean;
   /** Called when more bytes have come, the index was read, or the connection is gone or back. */
   readonly onChange?: () => void;
 }
@@ -85,6 +87,9 @@ class OpenStream implements SceneStream {
   readonly header: StreamHeader;
   readonly metrics = new Map<number, FrameMetrics>();
   private readonly follow: boolean;
+  private readonly ahead: boolean;
+  /** The frame that was asked for last. */
+  private target = -1;
   private readonly decoder: Decoder;
   private readonly changes = new Changes();
   private readonly ages = new Ages();
@@ -109,9 +114,10 @@ class OpenStream implements SceneStream {
     private readonly source: ByteSource,
     private readonly opening: Opening,
     private readonly limits: Limits,
-    { follow = false, onChange }: StreamOptions,
+    { follow = false, ahead = false, onChange }: StreamOptions,
   ) {
     this.follow = follow;
+    this.ahead = ahead;
     this.header = opening.header;
     this.decoder = new Decoder(opening.header, limits);
     this.walk = new Walk(source, this.walked, opening.end, limits, follow, this.onMetrics);
@@ -279,6 +285,7 @@ class OpenStream implements SceneStream {
       throw new StreamError(null, `frame ${index} is not in this stream of ${this.table.length} frames`);
     }
     this.busySince = performance.now();
+    this.target = index;
     let shown = this.canStepTo(index) ? this.shown! : await this.jump(index, signal);
     while (shown.frame < index) shown = await this.stepOn(shown, signal);
     return this.sceneFrame(shown);
@@ -314,6 +321,12 @@ class OpenStream implements SceneStream {
     this.source.prefetch(table.offset(key), end - table.offset(key)).catch(() => undefined);
   }
 
+  private readBehind(frame: number): void {
+    const { table } = this;
+    const end = table.offset(frame) + table.entries[frame].bytes;
+    this.source.prefetch(end, AHEAD_BYTES).catch(() => undefined); // whoever needs the bytes says what goes wrong
+  }
+
   private noKeyBefore(index: number): StreamError {
     const lost = this.table.entries[index].kind === null;
     return lost ? this.table.cause(index) : new StreamError("missing-key", `frame ${index} needs a keyframe before it`);
@@ -339,6 +352,7 @@ class OpenStream implements SceneStream {
   private async decode(frame: number, jump: boolean, signal?: AbortSignal): Promise<Shown> {
     await this.letMessagesIn();
     const packet = await this.packet(frame, signal);
+    if (this.ahead && frame === this.target) this.readBehind(frame);
     try {
       if (packet.kind === "key" && this.decoder.refersToFirst(packet.payload)) await this.needFirst(signal);
       const step = this.decoder.apply(packet, jump);

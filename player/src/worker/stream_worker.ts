@@ -9,7 +9,7 @@ import type { ExactPictures, LoadKernel } from "./exact_pictures";
 import { PackedScene } from "./packed_scene";
 import { textureLayout } from "./packing";
 
-export type OpenStream = (source: string, options: { readonly follow: boolean; readonly onChange: () => void }) => Promise<SceneStream>;
+export type OpenStream = (source: string, options: { readonly follow: boolean; readonly ahead: true; readonly onChange: () => void }) => Promise<SceneStream>;
 export type Send = (message: FromWorker, transfer?: Transferable[]) => void;
 
 const PROGRESS_MS = 100;
@@ -82,7 +82,7 @@ export class StreamWorker {
       const onChange = (): void => {
         this.tellSoon();
       };
-      const stream = await this.openStream(source, { follow, onChange });
+      const stream = await this.openStream(source, { follow, ahead: true, onChange });
       const { header } = stream;
       this.follow = follow;
       const complete = this.isComplete(stream);

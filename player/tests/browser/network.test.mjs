@@ -47,6 +47,7 @@ async function openedSlowly(stream, query = "") {
 
 test("on a link of 1.2 times the stream's rate, nothing stands still after the start", async (context) => {
   browser.server.options.rate = 1.2 * RATE;
+  browser.server.requests.length = 0;
   const page = await openedSlowly("wide", "autoplay");
   await until(page, "player.ended", 60_000);
   const { curve, events } = await page.evaluate(() => ({ curve, events }));
@@ -54,8 +55,13 @@ test("on a link of 1.2 times the stream's rate, nothing stands still after the s
   context.diagnostic(`frame at each second: ${[...Array(8).keys()].map((second) => curve.filter(([time]) => time <= 1000 * second).at(-1)?.[1] ?? "-").join(" ")}`);
   // 170 ms where the processor is free; 2600 when blocks counted only as their whole request had come. Between them lies what
   // a machine with much else to do takes for decoding.
+  assert.equal(curve[0][1], 0);
+  assert.ok(curve.at(-1)[0] - curve[0][0] > 900 * (FRAMES / FPS), "time begins with the first picture");
   assert.ok(longestGap(curve) < 1200, `${longestGap(curve)} ms`);
   assert.ok(!events.includes("stalled"));
+  // Every byte once: what was asked for is not given up and asked for again.
+  const asked = browser.server.requests.filter(({ path }) => path.endsWith("wide.dgs")).map(({ range }) => /(\d+)-(\d+)/.exec(range).slice(1).map(Number));
+  assert.equal(asked.reduce((sum, [from, to]) => sum + to + 1 - from, 0), statSync(join(DATA, "wide.dgs")).size);
   await page.context().close();
 });
 
