@@ -23,7 +23,7 @@ ANGLE_STEP = 2.0**-18
 """Radians per unit of ``yaw``, ``pitch`` and ``roll``."""
 
 LARGEST = (1 << 15) - 1
-"""Magnitude of every number a writer puts into the block."""
+"""Largest magnitude of a number that the encoder writes; a block may hold one below it, the last of 16 bits."""
 
 EFFECT_FIELDS = {
     "exposure_drift": ("exposure",),
@@ -129,7 +129,7 @@ def write_corrections(corrections: Corrections, corrected: CorrectedCameras) -> 
         for name in getattr(corrected, effect)
         for field in fields
     ]
-    if any(abs(number) > LARGEST for number in numbers):
+    if not all(-LARGEST - 1 <= number <= LARGEST for number in numbers):
         raise ValueError(f"a correction is beyond {LARGEST} steps")
     return struct.pack(f"<{len(numbers)}h", *numbers)
 

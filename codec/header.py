@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from decogs.formats.rotations import is_orthonormal
 
 from .corrections import EFFECT_FIELDS, LARGEST, CorrectedCameras, Correction, Corrections
 from .lattice import Lattice, Vector
+from .presentation import Presentation, read_presentation
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_CAMERAS = 1024
@@ -56,7 +57,8 @@ class StreamHeader:
     ``first_frame``: the rig's index of the stream's frame 0; ``background``: the colour trained against,
     display-referred RGB; ``corrected``: the cameras whose corrections every frame codes; ``camera_colours``: by camera,
     how its exposure, red and blue differ from the scene's in every frame; ``settings``: the encoder's own, for people,
-    never needed for decoding; ``subject``: the scene is a subject without its surroundings, its alpha what it covers.
+    never needed for decoding; ``subject``: the scene is a subject without its surroundings, its alpha what it covers;
+    ``presentation``: how it wants to be shown.
     """
 
     cameras: tuple[Camera, ...]
@@ -76,6 +78,7 @@ class StreamHeader:
     corrected: CorrectedCameras = field(default_factory=CorrectedCameras)
     camera_colours: Corrections = field(default_factory=dict)
     subject: bool = False
+    presentation: Presentation = field(default_factory=Presentation)
 
     @property
     def near_planes(self) -> dict[str, float]:
@@ -105,6 +108,7 @@ class StreamHeader:
             "held_out": list(self.held_out),
             "lattice": _lattice_document(self.lattice),
             "licence": self.licence,
+            **({"presentation": shown} if (shown := self.presentation.as_document()) else {}),
             "settings": dict(self.settings),
             "sh_degree": self.sh_degree,
             "source_text": self.source_text,
@@ -117,7 +121,8 @@ class StreamHeader:
         except ValueError as error:
             raise StreamError(Reason.BAD_HEADER, f"the header cannot be written: {error}") from error
         payload = text.encode("ascii")
-        StreamHeader.from_bytes(payload)
+        if StreamHeader.from_bytes(payload).presentation != self.presentation:
+            _refuse("a member of presentation is out of its bounds")
         return payload
 
     @staticmethod
@@ -147,6 +152,8 @@ class StreamHeader:
             subject=fields.flag("subject"),
         )
         names = [camera.name for camera in header.cameras]
+        if fields.has("presentation"):
+            header = replace(header, presentation=read_presentation(fields.value("presentation"), names))
         if len(set(names)) != len(names):
             _refuse("two cameras have the same name")
         if not set(header.held_out) <= set(names):

@@ -153,6 +153,24 @@ def read_skip(packet: Packet) -> int:
     return declared
 
 
+def renamed(packet: Packet, old: State, new: State) -> bytes | None:
+    """The payload of a packet, from its ``start`` on, that leads to ``new`` where this one leads to ``old``.
+
+    The two hold the same rows under other ids. None for a keyframe that lists its ids otherwise then.
+    """
+    body = packet.payload[packet.start :]
+    if packet.kind != PacketKind.KEY:
+        return _DIGEST.pack(digest(new)) + body[_DIGEST.size :]
+    _, _, count, reference, mode, first_id = _KEY.unpack(body[: _KEY.size])
+    # A keyframe that refers to the first one lists the Gaussians that are younger, perhaps none.
+    listed = old.ids >= first_id if reference == _INTRA or first_id else np.zeros(len(old), bool)
+    ids = new.ids[listed]
+    if not np.array_equal(np.diff(old.ids[listed]), np.diff(ids)):
+        return None
+    head = _KEY.pack(digest(new), new.next_id, count, reference, mode, int(ids[0]) if len(ids) else 0)
+    return head + body[_KEY.size :]
+
+
 def payload_costs(packet: Packet, coefficients: int, population: int | None = None) -> dict[str, int]:
     """A frame packet's payload bytes by purpose, from its declared lengths; raises StreamError.
 

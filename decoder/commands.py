@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import (
     Parser,
+    colour,
     counted,
     number,
     number_of_bytes,
@@ -103,7 +104,7 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--scale", type=number, default=1.0, metavar="S", help="scale of the picture size (default 1)")
     group.add_argument(
         "--background",
-        type=_colour,
+        type=colour,
         metavar="R,G,B",
         help="background colour, 0 to 1 each, or black, grey, white (default: the stream's; of a subject without a "
         "background, PNG, EXR and ProRes then have alpha)",
@@ -307,7 +308,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
     output = path_or_pipe(options.output, "the file")
     with progress("exporting", quiet=options.quiet) as on_frame:
         report = export(
-            _file(options.stream),
+            whole_file(options.stream),
             output,
             frames=frame_range(options.frames),
             up=options.up,
@@ -341,14 +342,16 @@ def _info(options: argparse.Namespace) -> None:
     from .stream_info_text import byte_lines, summary_lines
 
     with progress("reading", quiet=options.quiet) as on_frame:
-        facts = info(_file(options.stream), strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
+        facts = info(
+            whole_file(options.stream), strict=options.strict, max_memory=options.max_memory, on_frame=on_frame
+        )
     if options.json:
         print_text(json.dumps(facts.to_json(), indent=2))
     else:
         print_text("\n".join(byte_lines(facts) if options.bytes else summary_lines(facts)))
 
 
-def _file(stream: str) -> str:
+def whole_file(stream: str) -> str:
     """A stream that is read more than once, or from its end on; raises UsageError for a pipe."""
     if stream == "-" and not os.path.exists(stream):
         raise UsageError(
@@ -407,19 +410,3 @@ def _add_trust(parser: argparse._ActionsContainer, *, threads: bool = False) -> 
         metavar="SIZE",
         help="limit of memory for stream and pictures, such as 512M or 2G (default 4G)",
     )
-
-
-_COLOURS = {"black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "white": (1.0, 1.0, 1.0)}
-
-
-def _colour(text: str) -> tuple[float, float, float]:
-    if text in _COLOURS:
-        return _COLOURS[text]
-    try:
-        red, green, blue = (float(part) for part in text.split(","))
-    except ValueError:
-        known = ", ".join(_COLOURS)
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1, or one of {known}"
-        ) from None
-    return red, green, blue

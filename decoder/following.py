@@ -35,7 +35,7 @@ from decogs.formats.survey import check_lost, check_places, next_past_damage, pa
 from .damage import Concealment, Damage, OnDamage, errors_name
 from .frame import DecodedFrame, decode_frame
 from .limits import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
-from .stream import read_header
+from .stream import in_its_world, read_header
 
 DEFAULT_IDLE = 600.0
 """Seconds without anything new after which nothing more is expected; training a keyframe takes minutes."""
@@ -73,7 +73,7 @@ class GrowingStream:
         self._reader = PacketReader(file, max_payload=max_payload)
         self._max_memory, self._limits = max_memory, {max_payload} - {MAX_PAYLOAD}
         with self._errors_named():
-            self.header = read_header(self._awaited(self._reader.next), self._reader.offset)
+            self.header = in_its_world(read_header(self._awaited(self._reader.next), self._reader.offset))
         self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, DEFAULT_MAX_GAUSSIANS)
         self._limits |= {self._max_gaussians} - {DEFAULT_MAX_GAUSSIANS}
         self._first: State | None = None

@@ -12,25 +12,32 @@ from numpy.typing import NDArray
 from decogs.codec.deltas import Changes, Delta
 from decogs.codec.frame_payload import FramePayload
 from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import Lattice, dequantise
+from decogs.codec.lattice import dequantise
 from decogs.codec.reconstruct import Reconstruction, reconstruct_frame
-from decogs.codec.state import State, part_of, same_scene
+from decogs.codec.state import Rows, State, part_of, same_scene, take_rows
 from decogs.codec.syntax import payload_costs
-from decogs.formats.container import PacketKind
-from decogs.formats.splats import Splats
+from decogs.formats.container import Packet, PacketKind
+from decogs.formats.similarity import transformed_splats
+from decogs.formats.splats import Splats, take_splats
 
 from .damage import Damage
 
 
 class _Activation:
-    """The stored values of a state, computed when first asked for; shared by the frames that keep the state."""
+    """The values of a state in its world, computed when first asked for; shared by the frames that keep the state."""
 
-    def __init__(self, state: State, lattice: Lattice) -> None:
-        self._state, self._lattice = state, lattice
+    def __init__(self, state: State, header: StreamHeader) -> None:
+        self._state, self._lattice = state, header.lattice
+        self._transform = header.presentation.similarity
 
     @cached_property
     def splats(self) -> Splats:
-        return dequantise(self._state, self._lattice)
+        return transformed_splats(dequantise(self._state, self._lattice), self._transform)
+
+    def of_rows(self, rows: Rows) -> Splats:
+        if self._transform.is_identity:
+            return dequantise(take_rows(self._state, rows), self._lattice)
+        return take_splats(self.splats, rows)  # whose sums of products have the same last bits for every choice
 
 
 class DecodedFrame:
@@ -67,9 +74,7 @@ class DecodedFrame:
         base = first if payload.refers_to_first else self._state_before
         self._population_before = None if base is None else len(base)
         unchanged = before is not None and self.kind == PacketKind.SKIP
-        self._activation: _Activation = (
-            before._activation if before and unchanged else _Activation(self.state, header.lattice)
-        )
+        self._activation: _Activation = before._activation if before and unchanged else _Activation(self.state, header)
 
     def held(self, index: int, damage: Damage) -> DecodedFrame:
         """This frame shown once more in place of a damaged one."""
@@ -80,11 +85,11 @@ class DecodedFrame:
         frame.state = replace(self.state, frame=index)
         return frame
 
-    def part(self, rows: NDArray[np.bool_], lattice: Lattice) -> DecodedFrame:
+    def part(self, rows: NDArray[np.bool_], header: StreamHeader) -> DecodedFrame:
         """This frame with the Gaussians of ``rows`` (N,) alone; no delta leads to it."""
         frame = copy(self)
         frame.state = part_of(self.state, rows)
-        frame._activation = _Activation(frame.state, lattice)
+        frame._activation = _Activation(frame.state, header)
         return frame
 
     @property
@@ -94,13 +99,22 @@ class DecodedFrame:
 
     @property
     def splats(self) -> Splats:
-        """The scene as stored values, float32; the very object of the frame before when nothing changed."""
+        """The scene in its world, float32; the very object of the frame before when nothing changed."""
         return self._activation.splats
+
+    def splats_of(self, rows: Rows) -> Splats:
+        """The same of some rows alone."""
+        return self._activation.of_rows(rows)
 
     @property
     def refers_to_first(self) -> bool:
         """Whether this is a keyframe coded as the difference from the stream's first one."""
         return self._payload is not None and self._payload.refers_to_first
+
+    @property
+    def coded(self) -> Packet | None:
+        """Its packet as it is read from behind the corrections on; None when it is concealed."""
+        return None if self._payload is None else self._payload.body
 
     @property
     def costs(self) -> dict[str, int]:

@@ -11,8 +11,7 @@ import numpy as np
 from decogs.codec.corrections import Correction
 from decogs.codec.deltas import Delta, rows_after
 from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import dequantise
-from decogs.codec.state import Rows, State, same_scene, take_rows
+from decogs.codec.state import Rows, State, same_scene
 from decogs.formats.cameras import Camera
 
 from .camera_corrections import with_recorded_colours
@@ -104,9 +103,10 @@ class PlayedView:
         if shown is None or delta is None:
             self._view.set_scene(frame.splats)
         else:
-            self._change(shown, delta, frame.state)
+            self._change(shown, delta, frame)
 
-    def _change(self, before: State, delta: Delta, after: State) -> None:
+    def _change(self, before: State, delta: Delta, frame: DecodedFrame) -> None:
+        after = frame.state
         touched = np.zeros(len(before), bool)
         touched[delta.rows] = touched[delta.removed] = True
         detached = np.flatnonzero(touched)
@@ -115,7 +115,7 @@ class PlayedView:
         changed = np.concatenate([rows_after(delta.removed, np.flatnonzero(touched)), added])
         self._view.change(
             detached,
-            dequantise(take_rows(after, changed), self._header.lattice),
+            frame.splats_of(changed),
             changed,
             population=len(after),
             renumbered=_renumbered(len(before), delta.removed) if len(delta.removed) else None,

@@ -6,6 +6,7 @@ import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -26,6 +27,7 @@ from decogs.formats.container import (
 )
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
+from decogs.formats.similarity import transformed_camera
 from decogs.formats.survey import Survey, search, survey
 
 from .damage import Concealment, Damage, OnDamage, errors_name
@@ -37,7 +39,8 @@ from .limits import DEFAULT_MAX_MEMORY, frames_within, gaussians_within, limits_
 class Stream:
     """An open .dgs file; a context manager. Build one with ``open_stream``.
 
-    ``header`` is the stream's header, ``version`` (major, minor) its bitstream's; ``complete``: whether the stream
+    ``header`` is the stream's header, its cameras where they are shown (SPEC.md, "Presentation"), ``stored_header`` the
+    same as it is written; ``version`` (major, minor) its bitstream's; ``complete``: whether the stream
     was finished, ``unfinished_bytes`` how much of an incomplete packet lies at its tail. Iterators of ``frames`` are
     independent of each other.
     """
@@ -63,7 +66,8 @@ class Stream:
                     f"{path}: cannot be seeked, as a pipe; decode it with - for stdin, or write it to a file first"
                 )
             reader = self._reader(0)
-            self.header = read_header(reader.next(), reader.offset)
+            self.stored_header = read_header(reader.next(), reader.offset)
+            self.header = in_its_world(self.stored_header)
             self.version = reader.version
             self._survey = self._surveyed()
             self._scanned: Survey | None = None
@@ -88,6 +92,11 @@ class Stream:
     def frame_count(self) -> int:
         """Frames whose packets are complete, and those that are known to be lost."""
         return self._survey.frame_count
+
+    @property
+    def keyframes(self) -> tuple[int, ...]:
+        """The frames at which segments begin, as far as they are not lost."""
+        return tuple(entry.frame for entry in self._survey.entries if entry.kind == PacketKind.KEY)
 
     @property
     def file_bytes(self) -> int:
@@ -156,10 +165,10 @@ class Stream:
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
         payload = split_payload(packet, self.header.corrected)
-        first = self._first_keyframe() if payload.refers_to_first else None
+        first = self.first_keyframe() if payload.refers_to_first else None
         return decode_frame(payload, before, self.header, first=first, max_gaussians=self._max_gaussians)
 
-    def _first_keyframe(self) -> State:
+    def first_keyframe(self) -> State:
         """The state that later keyframes refer to; kept from the first time it is asked for."""
         if self._first is None:
             packet = self._packet(0, self._packets())
@@ -289,3 +298,11 @@ def read_header(packet: Packet | None, offset: int) -> StreamHeader:
     if packet is None:
         raise StreamError(Reason.TRUNCATED, "the stream stops before its header is complete", offset=offset)
     return StreamHeader.from_bytes(packet.payload)
+
+
+def in_its_world(header: StreamHeader) -> StreamHeader:
+    """The header with its cameras where its transform takes them; the very object where it has none."""
+    transform = header.presentation.similarity
+    if transform.is_identity:
+        return header
+    return replace(header, cameras=tuple(transformed_camera(camera, transform) for camera in header.cameras))

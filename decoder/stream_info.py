@@ -168,6 +168,7 @@ class StreamInfo:
                 "background": list(header.background),
                 "effects": list(header.effects),
                 "subject": header.subject,
+                "presentation": header.presentation.as_document(),
                 "lattice": {name: _plain(value) for name, value in vars(header.lattice).items()},
                 "units": header.units,
                 "axes": header.axes,

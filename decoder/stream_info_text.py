@@ -27,6 +27,8 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
     for camera in header.cameras:
         lens = "" if camera.distortion_model == "none" else f", {camera.distortion_model} lens"
         yield f"camera       {camera.name}  {camera.width}x{camera.height}{lens}" + _coded_effects(camera.name, header)
+    for name, value in header.presentation.as_document().items():
+        yield f"{name.replace('_', ' '):<12} {printable(str(value))}"
     if header.subject:
         yield "subject      without a background, with alpha"
     yield f"colour       SH degree {header.sh_degree}, background {','.join(f'{c:g}' for c in header.background)}"

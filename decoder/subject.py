@@ -42,7 +42,7 @@ class SubjectOfStream:
         header = stream.header
         self.path, self.frame_count = stream.path, stream.frame_count
         self.header = replace(header, subject=True)
-        self._stream, self._folder, self._lattice = stream, folder, header.lattice
+        self._stream, self._folder = stream, folder
         cameras = [camera for camera in header.cameras if camera.name not in header.held_out]
         self._rig = stream_matte_rig(folder, cameras, header.first_frame, stream.frame_count, chosen)
         self._plans = [Undistortion(camera) for camera in cameras]
@@ -64,7 +64,7 @@ class SubjectOfStream:
         for frame, (_, pictures) in zip(self._stream.frames(start, stop), mattes, strict=True):
             held = self._hull(self._alphas(pictures), frame.corrections).holds(frame.splats.means)
             shown += np.count_nonzero(held)
-            yield frame.part(held, self._lattice)
+            yield frame.part(held, self.header)
         if not shown:
             raise UsageError(
                 f"{self._folder}: no Gaussian of {self.path} lies where all its mattes are white; are they of these "

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import errno
 import io
+import math
 import os
 import re
 import signal
@@ -328,6 +329,15 @@ def number(text: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is no number")
 
 
+def vector(text: str) -> tuple[float, float, float]:
+    """An option's three finite numbers with commas between; ArgumentTypeError for anything else."""
+    parts = text.split(",")
+    if len(parts) != 3 or not all(math.isfinite(number(part)) for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is no vector; write X,Y,Z, such as 0,1.5,-2")
+    x, y, z = map(number, parts)
+    return x, y, z
+
+
 def whole_number(text: str) -> int:
     """An option's whole number in ASCII digits; ArgumentTypeError for anything else."""
     if not re.fullmatch(r"[+-]?[0-9]{1,18}", text, re.ASCII):
@@ -340,6 +350,23 @@ def number_of_threads(text: str) -> int:
     if not re.fullmatch(r"[0-9]{1,9}", text, re.ASCII):
         raise argparse.ArgumentTypeError(f"{text!r} is no number of threads; 0 means all processors")
     return int(text)
+
+
+_COLOURS = {"black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "white": (1.0, 1.0, 1.0)}
+
+
+def colour(text: str) -> tuple[float, float, float]:
+    """An option's display-referred colour: red, green and blue, or a name; ArgumentTypeError for anything else."""
+    if text in _COLOURS:
+        return _COLOURS[text]
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        known = ", ".join(_COLOURS)
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1, or one of {known}"
+        ) from None
+    return red, green, blue
 
 
 def _say(line: str, code: int) -> int:

@@ -20,6 +20,8 @@ from argparse_manpage.manpage import Manpage
 from decogs import __version__
 from decogs.bench.commands import bench_parser
 from decogs.decoder.commands import decode_parser, export_parser, info_parser, view_parser
+from decogs.decoder.editing.commands import edit_parser
+from decogs.decoder.editing.operations import OPERATIONS
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis.commands import analyze_parser
 from decogs.encoder.calibration.commands import calibrate_parser
@@ -32,6 +34,7 @@ PARSERS = (
     calibrate_parser,
     bench_parser,
     decode_parser,
+    edit_parser,
     encode_parser,
     export_parser,
     info_parser,
@@ -41,11 +44,28 @@ PARSERS = (
     view_parser,
 )
 FOLDERS = {"rig_dir", "rigs", "rig"}
-FILES = {"output", "stream", "files", "parts", "camera", "audio", "keyframe", "log", "convergence_log", "sync"}
+FILES = {
+    "output",
+    "stream",
+    "files",
+    "parts",
+    "camera",
+    "audio",
+    "keyframe",
+    "log",
+    "convergence_log",
+    "sync",
+    "recipe",
+}
 """What arguments name, by what they set."""
 EXIT_STATUS = """0: all went well. 2: an error, which one line on stderr names. 75: try again (parts of a take alone).
 130: interrupted by Ctrl\\-C. 141: the reader of a pipe is gone."""
-WORDS = {"settings": list(PRESETS), "device": ["auto", "cpu", "cuda"], "cluster": ["local"]}
+WORDS = {
+    "settings": list(PRESETS),
+    "device": ["auto", "cpu", "cuda"],
+    "cluster": ["local"],
+    "operations": list(OPERATIONS),
+}
 
 
 def shell_files() -> dict[str, str]:

@@ -125,7 +125,8 @@ COMMANDS = sorted(entry.name for entry in INSTALLED.entry_points if entry.group 
 
 
 def test_there_are_these_commands() -> None:
-    names = ("analyze", "bench", "calibrate", "decode", "encode", "export", "info", "join", "pack", "sync", "view")
+    names = ("analyze", "bench", "calibrate", "decode", "edit", "encode", "export", "info", "join")
+    names += ("pack", "sync", "view")
     assert [f"decogs-{name}" for name in names] == COMMANDS
 
 

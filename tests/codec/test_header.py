@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice
+from decogs.codec.presentation import Presentation
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError
 
@@ -73,6 +74,42 @@ def test_a_subject_says_so_and_a_whole_scene_says_nothing() -> None:
     assert b"subject" not in FULL.to_bytes()
 
 
+SHOWN = Presentation("Zwei Tänzer", 3, "wide", ((0, 0, 2.5, 1), (2.5, 0, 0, -3), (0, 2.5, 0, 1 / 3)))
+
+
+def test_a_presentation_comes_back_and_costs_nothing_where_there_is_none() -> None:
+    shown = replace(FULL, presentation=SHOWN).to_bytes()
+    assert StreamHeader.from_bytes(shown).presentation == SHOWN
+    assert b"presentation" not in FULL.to_bytes()
+    assert b'"title"' not in replace(FULL, presentation=Presentation(poster=0)).to_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("title", value) for value in ("x" * 65_537, 5, None, ["x"])),
+        *(("poster", value) for value in (-1, 1 << 31, 1.0, True, "1")),
+        *(("first_view", value) for value in ("nobody", "", 1, ["wide"])),
+        ("transform", [[1, 0, 0, 0], [0, 1, 0, 0]]),
+        ("transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]]),
+        ("transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2e12]]),
+    ],
+)
+def test_what_is_out_of_bounds_in_a_presentation_counts_as_absent(name: str, value: object) -> None:
+    document = json.loads(replace(FULL, presentation=SHOWN).to_bytes())
+    document["presentation"][name] = value
+    left = {other: kept for other, kept in vars(SHOWN).items() if other != name}
+    assert StreamHeader.from_bytes(json.dumps(document).encode()).presentation == Presentation(**left)
+    with pytest.raises(StreamError, match="presentation is out of its bounds"):
+        replace(FULL, presentation=replace(SHOWN, **{name: value or 5})).to_bytes()
+
+
+@pytest.mark.parametrize("value", [[], None, "title", 3, {}, {"title": ""}])
+def test_no_presentation_is_none(value: object) -> None:
+    document = json.loads(FULL.to_bytes()) | {"presentation": value}
+    assert StreamHeader.from_bytes(json.dumps(document).encode()).presentation == Presentation()
+
+
 CHANGES = [
     ("sh_degree", 4),
     ("sh_degree", True),
@@ -132,7 +169,7 @@ def test_fields_out_of_bounds_are_refused(path: str, value: object) -> None:
     assert caught.value.reason == "bad-header"
 
 
-OPTIONAL = ("corrected", "camera_colours", "subject")
+OPTIONAL = ("corrected", "camera_colours", "subject", "presentation")
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(StreamHeader) if field.name not in OPTIONAL])

@@ -411,6 +411,56 @@ def good_subjects() -> Iterator[Vector]:
     yield opened(document={**example_header(), "subject": True}).good("good/subject")
 
 
+PLACED = [[0.0, 0.0, 2.0, 1.0], [2.0, 0.0, 0.0, -1e12], [0.0, 2.0, 0.0, 0.5]]
+"""Twice as large, a third of a turn about the diagonal, and far away."""
+
+PRESENTATION = {"title": "The f\u00eate", "poster": 2**31 - 1, "first_view": "a", "transform": PLACED}
+"""Every member, at a bound where it has one."""
+
+
+def scaled(by: float, across: float = 0.0) -> list[list[float]]:
+    return [[by, by * across, 0, 0], [0, by, 0, 0], [0, 0, by, 0]]
+
+
+ABSENT: dict[str, tuple[Any, ...]] = {
+    "title": ("x" * 65_537, 5, None, ["x"]),
+    "poster": (-1, 2**31, 1.0, True, "1"),
+    "first_view": ("b", "", ["a"]),
+    "transform": (
+        None,
+        [*PLACED, [0, 0, 0, 1]],
+        [row[:3] for row in PLACED],
+        [[*row[:3], "0"] for row in PLACED],
+        [[*row[:3], True] for row in PLACED],
+        [[*row[:3], 1.1e12] for row in PLACED],
+        scaled(0),
+        scaled(-1),
+        scaled(0.9e-6),
+        scaled(1.1e6),
+        scaled(3, across=0.011),
+        [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1.1, 0]],
+    ),
+}
+"""By member, values out of its bounds."""
+
+
+def good_presentations() -> Iterator[Vector]:
+    """A presentation changes no state, and what of it is out of bounds counts as absent."""
+    yield opened(document={**example_header(), "presentation": PRESENTATION}).good("good/presentation")
+    invented = {**PRESENTATION, "invented_later": {"x": 1}}
+    yield opened(document={**example_header(), "presentation": invented}).good("good/presentation-member-of-later")
+    for name, matrix in (("small", scaled(1.01e-6)), ("large", scaled(0.99e6)), ("slanted", scaled(3, across=0.0099))):
+        document = {**example_header(), "presentation": {"transform": matrix}}
+        yield opened(document=document).good(f"good/presentation-transform-{name}")
+    for member, values in ABSENT.items():
+        for number, value in enumerate(values):
+            told = {**PRESENTATION, member: value}
+            stream = opened(document={**example_header(), "presentation": told})
+            yield stream.good(f"good/presentation-without-{member}-{number}")
+    for number, value in enumerate(([], None, "title")):
+        yield opened(document={**example_header(), "presentation": value}).good(f"good/presentation-none-{number}")
+
+
 def faults(first: int) -> dict[str, dict[str, int]]:
     """Numbers of `corrected_header`, counted up from the first."""
     return {

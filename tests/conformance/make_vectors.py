@@ -31,6 +31,7 @@ from good_vectors import (
     good_containers,
     good_corrections,
     good_payloads,
+    good_presentations,
     good_states,
     good_subjects,
 )
@@ -62,6 +63,7 @@ def vectors() -> Iterator[Vector]:
     yield from good_corrections()
     yield from good_colours()
     yield from good_subjects()
+    yield from good_presentations()
     yield from damaged_containers()
     yield from damaged_headers()
     yield from damaged_payloads()
@@ -80,7 +82,8 @@ def outcome(vector: Vector) -> dict[str, Any]:
     if vector.failure is not None:
         failure = dict(zip(("reason", "packet", "offset"), vector.failure, strict=True))
     frames = [] if vector.header is None else [hashes(state, vector.header) for state in vector.states]
-    return {**limits, **indexes, "frames": frames, "failure": failure}
+    shown = {} if vector.header is None else vector.header.presentation
+    return {**limits, **indexes, "frames": frames, "failure": failure, **({"presentation": shown} if shown else {})}
 
 
 def hashes(state: State, header: Header) -> dict[str, Any]:

@@ -14,11 +14,15 @@ from plain_container import COEFFICIENTS, CORRECTIONS, EFFECTS, refuse
 
 @dataclass(frozen=True)
 class Header:
-    """What decoding needs of the header packet: the number of SH coefficients, the lattice, corrected cameras."""
+    """What decoding needs of the header packet: the number of SH coefficients, the lattice, corrected cameras.
+
+    And how the stream wants to be shown, as far as that is within its bounds.
+    """
 
     coefficients: int
     lattice: dict[str, Any]
     corrected: dict[str, list[str]] = field(default_factory=dict)
+    presentation: dict[str, Any] = field(default_factory=dict)
 
     @property
     def channels(self) -> list[int]:
@@ -33,7 +37,31 @@ def read_header(payload: bytes) -> Header:
     check_header(header)
     if any(name not in EFFECTS for name in header["effects"]):
         refuse("unsupported-effect")
-    return Header((header["sh_degree"] + 1) ** 2, header["lattice"], header.get("corrected", {}))
+    return Header(
+        (header["sh_degree"] + 1) ** 2, header["lattice"], header.get("corrected", {}), presentation_of(header)
+    )
+
+
+def presentation_of(header: dict[str, Any]) -> dict[str, Any]:
+    """The members of the presentation that are within their bounds; the others count as absent."""
+    told = header.get("presentation")
+    if not isinstance(told, dict):
+        return {}
+    names = [camera["name"] for camera in header["cameras"]]
+    is_good = {
+        "title": lambda value: isinstance(value, str) and 0 < len(value) <= 65_536,
+        "poster": lambda value: is_integer(value, 0, 2**31 - 1),
+        "first_view": lambda value: isinstance(value, str) and value in names,
+        "transform": is_transform,
+    }
+    return {name: told[name] for name, good in is_good.items() if name in told and good(told[name])}
+
+
+def is_transform(value: Any) -> bool:
+    if not (isinstance(value, list) and len(value) == 3 and all(is_vector(row, 4, -1e12, 1e12) for row in value)):
+        return False
+    scale = math.copysign(abs(determinant(value)) ** (1 / 3), determinant(value))
+    return 1e-6 <= scale <= 1e6 and is_rotation([[number / scale for number in row[:3]] for row in value])
 
 
 def expect(condition: bool) -> None:
@@ -170,20 +198,25 @@ def check_camera(camera: Any) -> None:
     expect(len(distortion) in COEFFICIENTS[model] and is_vector(distortion, len(distortion), -1e6, 1e6))
     rows = camera["world_to_camera"]
     expect(isinstance(rows, list) and len(rows) == 3 and all(is_vector(row, 4, -1e12, 1e12) for row in rows))
-    check_rotation([row[:3] for row in rows])
+    expect(is_rotation([row[:3] for row in rows]))
     expect(is_number(camera.get("near", 0), 0, 1e12))
     colours = camera.get("colours", [0, 0, 0])
     expect(isinstance(colours, list) and len(colours) == 3)
     expect(all(is_integer(number, -32_767, 32_767) for number in colours))
 
 
-def check_rotation(r: list[list[float]]) -> None:
+def is_rotation(r: list[list[float]]) -> bool:
     for i in range(3):
         for j in range(3):
             product = sum(r[i][axis] * r[j][axis] for axis in range(3))
-            expect(abs(product - (i == j)) <= 0.01)
+            if not abs(product - (i == j)) <= 0.01:
+                return False
+    return determinant(r) > 0
+
+
+def determinant(r: list[list[float]]) -> float:
     minors = [r[1][(a + 1) % 3] * r[2][(a + 2) % 3] - r[1][(a + 2) % 3] * r[2][(a + 1) % 3] for a in range(3)]
-    expect(sum(r[0][axis] * minors[axis] for axis in range(3)) > 0)
+    return sum(r[0][axis] * minors[axis] for axis in range(3))
 
 
 def check_lattice(lattice: Any) -> None:

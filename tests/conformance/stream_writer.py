@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 from plain_container import CORRECTIONS, DELTA, END, FRAME_KINDS, HEADER, INDEX, KEY, SIGNATURE, SKIP, Limits
-from plain_header import Header
+from plain_header import Header, presentation_of
 from plain_state import State, digest, mix, wrapped
 
 MISSING = object()
@@ -238,7 +238,8 @@ class Stream:
 
     def __post_init__(self) -> None:
         corrected = self.document.get("corrected", {})
-        self.header = Header((self.document["sh_degree"] + 1) ** 2, self.document["lattice"], corrected)
+        told = presentation_of(self.document)
+        self.header = Header((self.document["sh_degree"] + 1) ** 2, self.document["lattice"], corrected, told)
         self.width = sum(self.header.channels)
         self.data = self.head
         self.offsets: list[int] = []

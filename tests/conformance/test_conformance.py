@@ -78,6 +78,7 @@ class Outcome:
     packet: int | None = None
     offset: int | None = None
     indexes: tuple[bool, ...] = ()
+    presentation: dict[str, Any] | None = None
 
 
 def by_the_plain_decoder(data: bytes, limits: dict[str, int]) -> Outcome:
@@ -86,7 +87,7 @@ def by_the_plain_decoder(data: bytes, limits: dict[str, int]) -> Outcome:
     indexes = tuple(decoded.indexes)
     failure = decoded.failure
     if failure is None:
-        return Outcome(frames, None, indexes=indexes)
+        return Outcome(frames, None, indexes=indexes, presentation=decoded.header.presentation)
     return Outcome(frames, failure.reason, failure.packet, failure.offset, indexes)
 
 
@@ -113,7 +114,7 @@ def by_the_product(data: bytes, limits: dict[str, int]) -> Outcome:
         failure = error
     frames = [product_hashes(state, header, found) for state, found in zip(states, told, strict=True)]
     if failure is None:
-        return Outcome(frames, None, indexes=tuple(indexes))
+        return Outcome(frames, None, indexes=tuple(indexes), presentation=header.presentation.as_document())
     return Outcome(frames, failure.reason, failure.packet, failure.offset, tuple(indexes))
 
 
@@ -170,6 +171,8 @@ def check(outcome: Outcome, expected: dict[str, Any], data: bytes) -> None:
     assert outcome.packet == failure["packet"]
     assert outcome.frames == expected["frames"]
     assert outcome.indexes == tuple(expected.get("indexes", ()))
+    if outcome.reason is None:
+        assert outcome.presentation == expected.get("presentation", {})
     if failure["reason"] is not None:
         assert outcome.offset is not None
         # A reader may be more exact than the first byte of the packet (SPEC.md, section 9).

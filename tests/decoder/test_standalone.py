@@ -37,6 +37,9 @@ export(stream, folder + "/scene.usda", frames=slice(0, 2))
 assert info(stream).totals["frames"] == 8
 from decogs.decoder.commands import decode_main, export_main, info_main
 assert info_main([stream]) == 0
+from decogs.decoder.editing.commands import edit_main
+edits = "trim 1:7 crop sphere 0,0,2 0.5 transform --up Y clean --picture".split()
+assert edit_main([stream, "-o", folder + "/edited.dgs", *edits, folder + "/goes.png"]) == 0
 assert not [name for name in sys.modules if name == "torch" or name.startswith("decogs.encoder")]
 """
 
@@ -44,6 +47,8 @@ START_UP = """
 import sys
 from decogs.decoder.commands import info_main
 assert info_main([sys.argv[1]]) == 0
+from decogs.decoder.editing.commands import edit_main
+assert edit_main([sys.argv[1], "--dry-run", "trim", "1:7", "crop", "sphere", "0,0,2", "0.5"]) == 0
 print(sorted({"cv2", "OpenEXR", "pxr", "torch", "tqdm", "decogs.decoder.rasterise"} & set(sys.modules)))
 """
 
@@ -62,7 +67,7 @@ def test_the_decoder_runs_without_torch_and_encoder(small_stream, tmp_path: Path
     result = run(PROGRAM, str(small_stream.path), str(tmp_path))
     assert result.returncode == 0, result.stderr
     assert len(list((tmp_path / "pictures").glob("cam01_*.png"))) == 8
-    for name in ("video.mp4", "frame.exr", "scene.usda"):
+    for name in ("video.mp4", "frame.exr", "scene.usda", "edited.dgs", "goes.png"):
         assert (tmp_path / name).stat().st_size > 1000
 
 

@@ -19,6 +19,7 @@ import pytest
 
 from board_videos import write_board_videos
 from decogs.decoder.commands import decode_main, export_main, info_main, view_main
+from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
@@ -44,6 +45,7 @@ DOCUMENTS = [
 MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-analyze": analyze_main,
     "decogs-calibrate": calibrate_main,
+    "decogs-edit": edit_main,
     "decogs-encode": encode_main,
     "decogs-decode": decode_main,
     "decogs-export": export_main,
@@ -87,11 +89,11 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
         monkeypatch.setitem(PRESETS, name, short)
     monkeypatch.chdir(tmp_path)
     assert encode_main(["rig_dir", "-o", "scene.dgs", "--effects", "motion"]) == 0
-    for name, document in (("pose.json", "free-cameras.md"), ("bullet.json", "cameras.md")):
-        pose = re.search(r"```json\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
-        assert pose is not None
-        json.loads(pose[1])
-        Path(name).write_text(pose[1])
+    for name, document in (("pose.json", "free-cameras.md"), ("bullet.json", "cameras.md"), ("edits.toml", "edit.md")):
+        kind = Path(name).suffix[1:]
+        shown = re.search(rf"```{kind}\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
+        assert shown is not None
+        Path(name).write_text(shown[1])
     return tmp_path
 
 

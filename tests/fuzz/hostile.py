@@ -12,6 +12,7 @@ import io
 import struct
 import sys
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,16 +29,36 @@ from decogs.codec.frame_payload import split_payload
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state, new_state
 from decogs.codec.lattice import default_lattice
+from decogs.codec.presentation import Presentation
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import Attributes, State, all_rows, take_rows
 from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
 from decogs.decoder.damage import Damage
+from decogs.decoder.editing import (
+    Box,
+    Cameras,
+    Clean,
+    Concat,
+    Crop,
+    Grade,
+    Merge,
+    Operation,
+    Retime,
+    Set,
+    Speed,
+    Sphere,
+    Strip,
+    Transform,
+    Trim,
+    edit,
+)
 from decogs.decoder.following import follow_stream
 from decogs.decoder.frame import DecodedFrame
 from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     FRAME_KINDS,
+    MAX_FRAME,
     Packet,
     PacketKind,
     PacketReader,
@@ -46,7 +67,7 @@ from decogs.formats.container import (
     read_index,
     scan_index,
 )
-from decogs.formats.errors import StreamError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import ALL_REASONS, Reason
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -97,6 +118,11 @@ def header(sh_degree: int, corrected: CorrectedCameras | None = None) -> StreamH
         effects=corrected.effects,
         corrected=corrected,
     )
+
+
+def _shown_header() -> StreamHeader:
+    placed = ((0.0, 0.0, 2.0, 1.0), (2.0, 0.0, 0.0, -3.0), (0.0, 2.0, 0.0, 0.5))
+    return replace(header(0), presentation=Presentation("a title", 3, "a", placed))
 
 
 def _stream(*, count: int, sh_degree: int, finished: bool, corrected: CorrectedCameras | None = None) -> bytes:
@@ -216,7 +242,8 @@ def mutated_stream(random: Random, packets: list[Packet]) -> bytes:
             other = random.randrange(len(chosen))
             chosen[at], chosen[other] = chosen[other], packet
         elif action == 3:
-            chosen[at] = replace(packet, frame=random.choice((0, 1, 3, 70_000, (1 << 31) - 1, packet.frame + 1)))
+            following = min(packet.frame + 1, MAX_FRAME)
+            chosen[at] = replace(packet, frame=random.choice((0, 1, 3, 70_000, MAX_FRAME, following)))
         elif action == 4:
             kind = random.choice((1, 2, 3, 4, 5, 6, 7, 8, 200))
             chosen[at] = replace(packet, kind=kind, critical=random.random() < 0.5)
@@ -378,6 +405,41 @@ class FileTarget:
             _frames_read(stream.frames(), strict, found)
 
 
+EDITS: tuple[tuple[Operation, ...], ...] = (
+    (Trim(slice(2, None)), Concat((Path(),))),
+    (Crop(Sphere((0.0, 0.0, 0.0), 0.2), fade=0.1), Retime((Speed(0, None, 0.5, 2.0),), reverse=True)),
+    (Transform(turns=(("X", 40.0),), scale=3.0), Merge(Path()), Set(title="x")),
+    (Clean(size=0.5, seen=1), Grade(1.0, region=Box((-1.0, -1.0, -1.0), (0.1, 1.0, 1.0))), Strip(("rig",))),
+    (Cameras(rename=(("a", "b"),)), Retime(holds=((3, 4),))),
+)
+"""What is done to hostile streams; other streams are the stream itself."""
+
+
+@dataclass
+class EditTarget:
+    """Whole streams: edited, or refused; what an edit has written is a stream without a fault."""
+
+    path: Path
+
+    def __call__(self, data: bytes) -> None:
+        self.path.write_bytes(data)
+        asked = EDITS[zlib.crc32(data) % len(EDITS)]
+        try:
+            report = edit(
+                self.path, self.path.with_suffix(".out"), [self._of_this(each) for each in asked], max_memory=MAX_MEMORY
+            )
+        except (StreamError, UsageError):
+            return
+        with open_stream(self.path.with_suffix(".out"), strict=True) as stream:
+            if sum(1 for _ in stream.frames()) != report.frame_count:
+                raise Misbehaved("an edit lost frames")
+
+    def _of_this(self, operation: Operation) -> Operation:
+        if isinstance(operation, Concat):
+            return Concat((self.path,))
+        return Merge(self.path) if isinstance(operation, Merge) else operation
+
+
 def _frames_read(frames: Iterator[DecodedFrame], strict: bool, found: list[Damage]) -> int:
     """How many there are; each has its place, and is what it says or told to be held."""
     index = -1
@@ -398,7 +460,7 @@ def parsers() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
     ]
     return {
         "container": (try_container, seed_streams()),
-        "header": (try_header, [header(0).to_bytes(), header(1, _CORRECTED).to_bytes()]),
+        "header": (try_header, [header(0).to_bytes(), header(1, _CORRECTED).to_bytes(), _shown_header().to_bytes()]),
         "payload": (try_payload, payloads),
     }
 

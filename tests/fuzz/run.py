@@ -1,9 +1,9 @@
 """``make fuzz``: hostile inputs by the hundred thousand; exit code 1 when one of them misbehaves.
 
-Whole streams are mutated at random, structured and raw; the parsers of the container, the header and the payloads are
-fuzzed guided by coverage when atheris is installed (``pip install atheris``), else by raw mutation alone. The same seed
-gives the same mutants. An input that misbehaves is left in build/fuzz, with a line that says what it did; mend the
-cause and keep the input in tests/fuzz/found.
+Whole streams are mutated at random, structured and raw, to be opened and to be edited; the parsers of the container,
+the header and the payloads are fuzzed guided by coverage when atheris is installed (``pip install atheris``), else by
+raw mutation alone. The same seed gives the same mutants. An input that misbehaves is left in build/fuzz, with a line
+that says what it did; mend the cause and keep the input in tests/fuzz/found.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import hostile
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "fuzz"
-SHARES = {"streams": 0.1, "container": 0.3, "header": 0.15, "payload": 0.45}
+SHARES = {"streams": 0.08, "edits": 0.02, "container": 0.3, "header": 0.15, "payload": 0.45}
 """Of the inputs: whole streams cost several times what a parser's input does."""
 
 
@@ -62,14 +62,14 @@ def main() -> int:
 
 def run(name: str, inputs: int, seed: int, guided: bool) -> dict[str, float]:
     """Tries so many inputs on one target; raises Misbehaved after keeping the input."""
-    if name != "streams":
+    if name not in ("streams", "edits"):
         if guided:
             return run_guided(name, inputs, seed)
         target, seeds = hostile.parsers()[name]
         return run_random(name, target, seeds, islice(raw_mutants(seeds, seed), inputs))
     with tempfile.TemporaryDirectory() as folder:
         seeds = hostile.seed_streams()
-        target = hostile.FileTarget(Path(folder) / "x.dgs")
+        target = (hostile.FileTarget if name == "streams" else hostile.EditTarget)(Path(folder) / "x.dgs")
         return run_random(name, target, seeds, islice(hostile.mutants(seeds, seed), inputs))
 
 

@@ -29,7 +29,8 @@ FOUND = Path(__file__).with_name("found")
 @pytest.fixture
 def targets(tmp_path: Path) -> dict:
     parsers = {name: target for name, (target, _) in hostile.parsers().items()}
-    return {"streams": hostile.FileTarget(tmp_path / "x.dgs"), **parsers}
+    path = tmp_path / "x.dgs"
+    return {"streams": hostile.FileTarget(path), "edits": hostile.EditTarget(path), **parsers}
 
 
 def test_mutated_streams_are_read_or_refused(targets) -> None:
@@ -37,6 +38,26 @@ def test_mutated_streams_are_read_or_refused(targets) -> None:
     for data in islice(hostile.mutants(hostile.seed_streams(), seed=11), 200):
         judge.try_one(data)
     assert judge.tried == 200
+
+
+def test_mutated_streams_are_edited_or_refused(targets) -> None:
+    judge = hostile.Judge(targets["edits"])
+    for data in islice(hostile.mutants(hostile.seed_streams(), seed=13), 200):
+        judge.try_one(data)
+    assert judge.tried == 200
+
+
+@pytest.mark.parametrize("edits", hostile.EDITS, ids=lambda edits: edits[0].name)
+def test_whole_streams_are_edited(edits, tmp_path: Path) -> None:
+    """Else the fuzzing would try refusals alone."""
+    target = hostile.EditTarget(tmp_path / "x.dgs")
+    for data in hostile.seed_streams():
+        target.path.write_bytes(data)
+        with open_stream(target.path) as stream:
+            empty = not len(next(stream.frames()).state)
+        operations = [target._of_this(each) for each in edits]
+        if not (empty and edits[0].name in ("crop", "clean")):
+            hostile.edit(target.path, tmp_path / "out.dgs", operations)
 
 
 @pytest.mark.parametrize("name", ["container", "header", "payload"])

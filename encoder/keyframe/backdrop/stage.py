@@ -29,9 +29,11 @@ _MIN_PLAIN_SHARE = 0.5
 """Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
 _MIN_ROOM_SHARE = 0.3
 """Plain share of the median view's picture from which a room has plain walls."""
-_MAX_GAP_DEGREES = 150.0
-"""Between neighbouring cameras around a stage. Of an arc's backdrop too little is seen from two sides: on `hdr`, an arc
-of 48 degrees before bare walls, a backdrop cost 9 dB."""
+_MIN_SPAN_DEGREES = 90.0
+"""Between the cameras that see a stage from most different sides. Of what a narrower arc stands before too little is
+seen from two sides: on `hdr`, an arc of 48 degrees before walls that darkness makes plain, a backdrop cost 2 dB."""
+_MAX_ROOM_GAP_DEGREES = 150.0
+"""Between neighbouring cameras around a room, whose floor is found by texture: on half rings at wrong heights, too."""
 _MIN_VIEWS = 4
 """Views from which a stage is sought: in the hull of three all around, no view confirms a first point."""
 _DECISION_PIXELS = 62_000
@@ -138,7 +140,7 @@ class PlainRoom(BackdropStage):
 def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
     """The stage in the first ``frame`` of ``views``: of a subject with mattes, or before plain walls; None for others.
 
-    Enough cameras stand all around, and the median picture is mostly plain, or its upper part is.
+    Enough cameras stand over a wide enough arc, and the median picture is mostly plain, or its upper part is.
     """
     if frame.alpha:
         return subject_alone(views, frame.alpha)
@@ -159,7 +161,7 @@ def _plain_stage(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> Plain
         for subject, mask, plate in zip(subjects, plain, plates, strict=True)
     ]
     surfaces = find_surfaces(backdrops)
-    if not _all_around(surfaces, seen):
+    if _span(surfaces, seen) < _MIN_SPAN_DEGREES:
         return None
     spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
     xyz, normals = surfaces.points(spacing)
@@ -173,7 +175,7 @@ def _plain_room(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainR
     walls = [PlainView(view.camera, mask, plate) for view, mask, plate in zip(seen, plain, plates, strict=True)]
     whole = [PlainView(view.camera, view.recorded, view.picture) for view in seen]
     surfaces = find_room(walls, whole)
-    if surfaces is None or not _all_around(surfaces, seen):
+    if surfaces is None or _largest_gap(surfaces, seen) > _MAX_ROOM_GAP_DEGREES:
         return None
     spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
     xyz, normals = surfaces.points(spacing)
@@ -189,9 +191,16 @@ def _plain_room(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainR
     return PlainRoom(hull, surfaces, shown, xyz[kept].astype(np.float32), colours[kept], spacing, beside)
 
 
-def _all_around(surfaces: Surfaces, seen: Sequence[StageView]) -> bool:
+def _largest_gap(surfaces: Surfaces, seen: Sequence[StageView]) -> float:
     gaps, _ = surfaces.gaps(np.array([camera_centre(view.camera) for view in seen]))
-    return bool(gaps.max() <= _MAX_GAP_DEGREES)
+    return float(gaps.max())
+
+
+def _span(surfaces: Surfaces, seen: Sequence[StageView]) -> float:
+    """Degrees between the two cameras that see the middle from most different sides."""
+    ways = np.array([camera_centre(view.camera) for view in seen]) - surfaces.middle
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    return float(np.degrees(np.arccos(np.clip(ways @ ways.T, -1, 1).min())))
 
 
 def _plain_share_reaches(least: float, views: Sequence[View], pictures: Sequence[FloatArray]) -> bool:

@@ -1,0 +1,60 @@
+"""The list of cameras of a header: some left out, others renamed, and all that the header says of them by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields, replace
+
+from decogs.codec.corrections import EFFECT_FIELDS, CorrectedCameras, Corrections
+from decogs.codec.header import StreamHeader
+from decogs.formats.errors import UsageError
+
+
+def check_names(operation: str, header: StreamHeader, names: Iterable[str]) -> None:
+    """Raises UsageError for a name that no camera has."""
+    known = [camera.name for camera in header.cameras]
+    for name in names:
+        if name not in known:
+            listed = ", ".join(known[:40]) + (", ..." if len(known) > 40 else "")
+            raise UsageError(f"{operation}: there is no camera {name!r} in this stream; it has {listed}")
+
+
+def with_cameras(header: StreamHeader, name_of: Callable[[str], str | None]) -> StreamHeader:
+    """The header with each camera under the name that ``name_of`` gives it; None leaves it out.
+
+    Raises UsageError where none is left.
+    """
+    named = {camera.name: name for camera in header.cameras if (name := name_of(camera.name)) is not None}
+    if not named:
+        raise UsageError("a stream has at least one camera; leave one in it")
+    corrected = CorrectedCameras(
+        **{effect.name: _renamed(getattr(header.corrected, effect.name), named) for effect in fields(CorrectedCameras)}
+    )
+    colours = {named[name]: colour for name, colour in header.camera_colours.items() if name in named}
+    told = header.presentation
+    return replace(
+        header,
+        cameras=tuple(replace(camera, name=named[camera.name]) for camera in header.cameras if camera.name in named),
+        held_out=_renamed(header.held_out, named),
+        corrected=corrected,
+        camera_colours=colours,
+        effects=with_effects_of(header.effects, corrected, bool(colours)),
+        presentation=replace(told, first_view=named.get(told.first_view or "")),
+    )
+
+
+def with_effects_of(effects: Iterable[str], corrected: CorrectedCameras, coloured: bool) -> tuple[str, ...]:
+    """The effects with those of cameras exactly where cameras have them (SPEC.md, "Header packet")."""
+    there = {"colour_mismatch": coloured} | {effect: bool(getattr(corrected, effect)) for effect in EFFECT_FIELDS}
+    named = dict.fromkeys([*effects, *there])
+    return tuple(effect for effect in named if there.get(effect, True))
+
+
+def renamed_corrections(corrections: Corrections, name_of: Callable[[str], str | None]) -> Corrections:
+    """A frame's corrections under the cameras' new names."""
+    named: Mapping[str, str | None] = {name: name_of(name) for name in corrections}
+    return {new: corrections[name] for name, new in named.items() if new is not None}
+
+
+def _renamed(names: Iterable[str], named: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(named[name] for name in names if name in named)

@@ -1,0 +1,146 @@
+"""Edits a stream without training: what ``decogs-edit`` does."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from decogs.formats.callbacks import OnProgress, OnWarning
+from decogs.formats.container import StreamWriter
+from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.outputs import GrowingFile, Output, check_outputs, errors_named, is_device
+
+from ..limits import DEFAULT_MAX_MEMORY
+from .operations.base import Operation
+from .take import Frame, Take, open_take
+from .writing import FrameWriter
+
+
+@dataclass(frozen=True)
+class EditReport:
+    """What an edit made: frames, and how many of them kept the packet that was read; the bytes of the stream.
+
+    ``notes``: a line or more of each operation, in their order.
+    """
+
+    frame_count: int
+    kept_packets: int
+    file_bytes: int
+    notes: tuple[str, ...]
+
+
+def edit(
+    stream: str | os.PathLike[str],
+    output: str | os.PathLike[str] | BinaryIO | None,
+    operations: Sequence[Operation],
+    *,
+    max_memory: int = DEFAULT_MAX_MEMORY,
+    on_frame: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
+) -> EditReport:
+    """Writes the stream with ``operations`` done to it, one after the other; nothing is trained.
+
+    Scenes that no operation changes keep their bits, rows that none changes theirs. Packets pass one by one: memory
+    does not grow with the take. METRICS and private packets are left out, since they tell of the stream that was.
+    ``output``: a file's name, or an open file; None only finds out what the edit would do, and writes nothing.
+    ``max_memory`` (bytes) bounds the decoding of each stream, as in ``open_stream``. ``on_frame(done, all)`` reports
+    progress, ``on_warning(text)`` damage that is passed over.
+
+    Raises UsageError, StreamError or OSError; nothing is then left under the output's name.
+    """
+    if not operations:
+        raise UsageError("no operation is given; decogs-edit --help lists them")
+    target = Path(output) if isinstance(output, (str, os.PathLike)) else output
+    with ExitStack() as opened:
+        numbers = count()
+
+        def open_other(path: str | os.PathLike[str]) -> Take:
+            return opened.enter_context(open_take(path, next(numbers), max_memory=max_memory, on_warning=on_warning))
+
+        shown = _Shown(on_frame)
+        take = open_other(stream).each(shown.read)
+        for operation in operations:
+            take = operation.edit(take, open_other)
+            _check_header(operation, take)
+        _check_files(target, operations, take)
+        with _opened(target) as (file, publish):
+            writer, frames = _written(take, file, shown)
+            publish()
+        return EditReport(frames.frames, frames.kept, writer.bytes_written, tuple(note() for note in take.notes))
+
+
+class _Shown:
+    """Progress: frames that were written.
+
+    It is told of frames that are read, too: an operation may read all of them before the first one is written.
+    """
+
+    def __init__(self, on_frame: OnProgress | None) -> None:
+        self._on_frame, self.done, self.total = on_frame, 0, 0
+
+    def read(self, frame: Frame) -> Frame:
+        self.to(self.done)
+        return frame
+
+    def to(self, done: int) -> None:
+        self.done = done
+        if self._on_frame is not None:
+            self._on_frame(done, self.total)
+
+
+def _written(take: Take, file: BinaryIO, shown: _Shown) -> tuple[StreamWriter, FrameWriter]:
+    writer = StreamWriter(file, take.header.to_bytes())
+    frames = FrameWriter(take.header, writer)
+    shown.total = take.frame_count
+    for frame in take.read(0, take.frame_count):
+        frames.write(frame)
+        shown.to(frames.frames)
+    writer.finish()
+    return writer, frames
+
+
+def _check_header(operation: Operation, take: Take) -> None:
+    """Raises UsageError where what was asked for is out of a header's bounds."""
+    try:
+        take.header.to_bytes()
+    except StreamError as error:
+        raise UsageError(f"{operation.name}: {error}") from None
+
+
+def _check_files(target: Path | BinaryIO | None, operations: Sequence[Operation], take: Take) -> None:
+    outputs = [Output(operation.name, file) for operation in operations for file in operation.outputs]
+    if target is not None:
+        outputs.insert(0, Output("output", target, grows=True))
+    check_outputs(outputs, [(path, "is read, and an edit never replaces what it reads") for path in take.sources])
+
+
+@contextmanager
+def _opened(target: Path | BinaryIO | None) -> Iterator[tuple[BinaryIO, Any]]:
+    """The file to write into, and what gives it its name; without that, nothing is left of it."""
+    if target is None:
+        yield _Nowhere(), lambda: None
+    elif not isinstance(target, Path) or is_device(target):
+        file = target.open("wb") if isinstance(target, Path) else target
+        with errors_named(str(target) if isinstance(target, Path) else "standard output"):
+            yield file, file.flush
+    else:
+        with GrowingFile(target, resumable=False) as growing:
+            try:
+                with errors_named(str(target)):
+                    yield growing.file, growing.publish
+            except BaseException:
+                growing.discard()
+                raise
+
+
+class _Nowhere(io.BytesIO):
+    """Takes bytes and forgets them."""
+
+    def write(self, data: Any) -> int:
+        return len(data)

@@ -1,0 +1,110 @@
+"""Packets of an edited take: those that were read where they say the same, new ones where an edit changed a scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from decogs.codec.corrections import write_corrections
+from decogs.codec.deltas import apply_delta, difference
+from decogs.codec.header import StreamHeader
+from decogs.codec.keyframes import new_state
+from decogs.codec.state import Rows, State, all_rows, same_scene, same_values, take_rows
+from decogs.codec.syntax import refers_to_first, renamed, write_delta, write_key, write_skip
+from decogs.formats.container import PacketKind
+
+from .names import Names
+from .take import Frame
+
+
+class PacketSink(Protocol):
+    """Takes one packet after the other."""
+
+    def write(self, kind: int, frame: int, payload: bytes) -> object:
+        """Appends one packet."""
+
+
+class FrameWriter:
+    """Writes frames as packets of a stream with this header, which ``sink`` has already.
+
+    ``frames`` counts them, ``kept`` those whose packet was taken as it was read, but for its digest and ids.
+    """
+
+    def __init__(self, header: StreamHeader, sink: PacketSink) -> None:
+        self._header, self._sink = header, sink
+        self._names = Names()
+        self._state: State | None = None
+        self._first: State | None = None
+        self._shows: State | None = None  # a source's state whose rows are those of _state, one by one
+        self._first_shows: State | None = None
+        self.frames = self.kept = 0
+
+    def write(self, frame: Frame) -> None:
+        """Appends a frame; the first one is a keyframe whatever it was. Raises StreamError for what no packet holds."""
+        is_key = frame.is_key or self._state is None
+        ids = self._names.of(
+            frame.state,
+            is_key=is_key,
+            lists_all=not self._refers_as_before(frame),
+            is_changed=frame.coded is not None and not same_scene(frame.coded.after, frame.state),
+        )
+        in_order = bool((ids[1:] > ids[:-1]).all())
+        after = _named(frame.state, ids, self._names.next_id, in_order, self.frames)
+        body = self._as_it_was(frame, after, is_key) if in_order else None
+        self.kept += body is not None
+        if body is not None and frame.coded is not None:
+            kind = frame.coded.packet.kind
+        else:
+            kind, body, after = self._coded_anew(after, is_key)
+        block = write_corrections(frame.corrections, self._header.corrected)
+        self._sink.write(kind, self.frames, block + body)
+        self._state, self._shows = after, frame.state if in_order else None
+        if self._first is None:
+            self._first, self._first_shows = self._state, self._shows
+        self.frames += 1
+
+    def _as_it_was(self, frame: Frame, after: State, is_key: bool) -> bytes | None:
+        """The body of the frame's own packet, with other ids if need be; None where it would say something else."""
+        coded = frame.coded
+        if coded is None or not same_scene(coded.after, frame.state) or (coded.before is None) != is_key:
+            return None
+        if coded.before is None:
+            follows = not refers_to_first(coded.packet) or self._refers_as_before(frame)
+        else:
+            follows = self._shows is not None and same_scene(coded.before, self._shows)
+        return renamed(coded.packet, frame.state, after) if follows else None
+
+    def _refers_as_before(self, frame: Frame) -> bool:
+        """Whether the frame's packet refers to a first keyframe that the output has as well."""
+        first = None if frame.coded is None else frame.coded.first
+        return first is not None and self._first_shows is not None and same_values(first, self._first_shows)
+
+    def _coded_anew(self, after: State, is_key: bool) -> tuple[PacketKind, bytes, State]:
+        before = self._state
+        if is_key or before is None:
+            return PacketKind.KEY, write_key(after, first=self._first).payload, after
+        stays = np.isin(before.ids, after.ids, assume_unique=True)
+        old = int(stays.sum())  # what is new has higher ids, so these come first
+        delta = difference(
+            before,
+            np.flatnonzero(stays),
+            take_rows(after, np.arange(old)),
+            removed=np.flatnonzero(~stays),
+            added=take_rows(after, np.arange(old, len(after))),
+        )
+        if not (len(delta.rows) or len(delta.removed) or len(delta.added)):
+            return PacketKind.SKIP, write_skip(before).payload, replace(before, frame=after.frame)
+        return PacketKind.DELTA, write_delta(before, delta).payload, apply_delta(before, delta)
+
+
+def _named(state: State, ids: Rows, next_id: int, in_order: bool, frame: int) -> State:
+    """The scene under the output's ids, in their order."""
+    if in_order and next_id == state.next_id and np.array_equal(ids, state.ids):
+        return replace(state, frame=frame)
+    attributes = all_rows(state)
+    if not in_order:
+        order = np.argsort(ids)
+        attributes, ids = take_rows(state, order), ids[order]
+    return new_state(attributes, frame, ids=ids, next_id=next_id)
