@@ -48,7 +48,7 @@ test("dragging circles the pivot, upright, the near side going with the hand", a
   const shifted = await state(page);
   assert.ok(distance(shifted.pivot, nearer.pivot) > 0.01);
   await page.keyboard.press("r");
-  await page.waitForTimeout(900);
+  await until(page, "player.camera !== '' && !inside.stage.navigation.jumping");
   const back = await state(page);
   assert.ok(distance(back.centre, before.centre) < 1e-9);
   assert.equal(back.camera, before.camera);
