@@ -231,7 +231,7 @@ def view_parser() -> Parser:
         description="Play a .dgs stream in the browser, from wherever one likes. Serves it to this machine only.",
         epilog="With -o nothing is served: OUTPUT is a folder that plays the stream on any static web server.",
     )
-    parser.add_argument("stream", help="the .dgs file")
+    parser.add_argument("stream", help="the .dgs file; - for stdin, such as the pipe of an encode that goes on")
     parser.add_argument("-o", "--output", metavar="OUTPUT", help="write the page and the stream into this folder")
     parser.add_argument(
         "--overwrite", action="store_true", help="with -o: into a folder that is there; its other files stay"
@@ -369,11 +369,10 @@ def _view(options: argparse.Namespace) -> None:
 
     idle = DEFAULT_IDLE if options.idle is None else options.idle
     browser = False if options.no_browser else None
+    stream = standard_input() if options.stream == "-" else options.stream
     # From the moment the address is out, Ctrl-C is how it ends.
     with (
-        view(
-            options.stream, port=options.port, follow=options.follow, idle=idle, browser=browser, rig=options.rig
-        ) as served,
+        view(stream, port=options.port, follow=options.follow, idle=idle, browser=browser, rig=options.rig) as served,
         suppress(KeyboardInterrupt),
     ):
         print_text(f"{printable(options.stream)}: {served.url} (Ctrl-C ends it)")
@@ -388,7 +387,9 @@ def _write_site(options: argparse.Namespace) -> None:
     if options.follow:
         raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
     with progress("writing", "MB", quiet=options.quiet) as on_megabytes:
-        report = write_site(options.stream, options.output, overwrite=options.overwrite, on_megabytes=on_megabytes)
+        report = write_site(
+            whole_file(options.stream), options.output, overwrite=options.overwrite, on_megabytes=on_megabytes
+        )
     print_text(f"{printable(options.output)}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
     print_text(f"to look at it here: python3 -m http.server -d {shlex.quote(printable(options.output))}")
 

@@ -56,7 +56,7 @@ def encode_parser() -> Parser:
     parser.add_argument(
         "--live",
         metavar="FILE",
-        help="instead of a rig: encode pictures while cameras record them; FILE, in TOML, says where they appear",
+        help="instead of a rig: encode what cameras record while they do; FILE, in TOML, says where it comes from",
     )
     parser.add_argument(
         "-o",
@@ -133,7 +133,8 @@ def _add_quality(group: argparse._ArgumentGroup) -> None:
         "--time-budget",
         metavar="T",
         help="maximum mean wall-clock time of the frames after the first (1.5s/frame, 500ms/frame or 1.5), from "
-        "decoded pictures to the written packet. Training is shortened to fit, so the bytes depend on the machine",
+        "decoded pictures to the written packet. Training is shortened to fit, so the bytes depend on the machine; "
+        "with --live, every n-th frame is encoded where cameras are faster",
     )
     group.add_argument(
         "--target-psnr",
@@ -423,6 +424,7 @@ def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObs
 
 def _rig(options: argparse.Namespace) -> Rig | str:
     """The rig's folder, or the rig whose cameras are recording, with the effects that frames decide for themselves."""
+    from .option_texts import seconds_per_frame
     from .settings.effects import PRESET_EFFECTS
 
     if (options.rig_dir is None) == (options.live is None):
@@ -435,7 +437,8 @@ def _rig(options: argparse.Namespace) -> Rig | str:
         options.effects = ",".join(PRESET_EFFECTS)
     if options.effects.startswith("auto"):  # which looks at frames of the whole take
         raise UsageError(f"`effects` {options.effects}: a recording that goes on cannot be analysed; name the effects")
-    return open_live(options.live)
+    seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
+    return open_live(options.live, seconds_per_frame=seconds)
 
 
 def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:
@@ -500,9 +503,10 @@ def _left_out(report: EncodeReport) -> list[str]:
     """A line for every camera and reason, with the frames that it had no part in."""
     frames: dict[tuple[str, str], list[int]] = {}
     for frame in report.frames:
-        for left_out in frame.left_out.items():
+        why = {name: f"its picture is {why}" for name, why in frame.left_out.items()} | frame.dropped
+        for left_out in why.items():
             frames.setdefault(left_out, []).append(frame.frame)
-    return [f"camera {name} was left out of {_frames(at)}: its picture is {why}" for (name, why), at in frames.items()]
+    return [f"camera {name} was left out of {_frames(at)}: {why}" for (name, why), at in frames.items()]
 
 
 def _rejected(report: EncodeReport) -> str:

@@ -13,7 +13,7 @@ from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.outputs import Output, check_outputs
-from decogs.formats.rigs import Rig, files_of, open_rig, without_cameras
+from decogs.formats.rigs import Rig, files_of, open_rig, stop_waiting, without_cameras
 from decogs.formats.threads import thread_count
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
@@ -63,6 +63,7 @@ def encode(
     warn = on_warning or (lambda text: None)
     work = _prepare(job, warn)
     with ExitStack() as open_files:
+        open_files.callback(stop_waiting, work.rig.sources)  # of the frame that is read ahead
         taken = open_output(work.output, resume=job.resume) if work.part is None else open_part(work.output)
         target = open_files.enter_context(taken)
         observers = [] if job.log is None else [open_files.enter_context(EncodeLog(Path(job.log), append=job.resume))]

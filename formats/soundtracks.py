@@ -23,8 +23,9 @@ class Sound:
     delay: float
 
 
-def read_sound(path: Path, seconds: float) -> Sound | None:
-    """The first so many seconds of a video's sound; None where it has none that can be decoded. Raises RigError.
+def read_sound(path: Path, seconds: float, begin: float = 0.0) -> Sound | None:
+    """So many seconds of a video's sound, from ``begin`` seconds after its first picture on, which `Sound.delay` counts
+    from; None where it has none that can be decoded. Raises RigError.
 
     A gap in the track is not filled: what follows would be read too early, and matches no other camera.
     """
@@ -44,7 +45,7 @@ def read_sound(path: Path, seconds: float) -> Sound | None:
                         shown = at if shown is None else min(shown, at)
                     continue
                 for frame in packet.decode():
-                    if isinstance(frame, av.AudioFrame):
+                    if isinstance(frame, av.AudioFrame) and not (begin and _is_before(frame.time, shown, begin)):
                         begun = frame.time if begun is None else begun
                         parts += [part.to_ndarray()[0] for part in resampler.resample(frame)]
                         count += len(parts[-1]) if parts else 0
@@ -54,4 +55,9 @@ def read_sound(path: Path, seconds: float) -> Sound | None:
             return None
     if begun is None or shown is None or not parts:
         return None
-    return Sound(np.concatenate(parts).astype(np.float32), float(begun) - shown)
+    return Sound(np.concatenate(parts).astype(np.float32), float(begun) - shown - begin)
+
+
+def _is_before(time: float | None, shown: float | None, begin: float) -> bool:
+    """Whether a time is less than ``begin`` seconds after the first picture's; one that is not known is."""
+    return time is None or shown is None or time - shown < begin

@@ -150,7 +150,7 @@ def ycbcr_to_rgb(matrix: int, *, full: bool, bits: int = 8) -> NDArray[np.float6
 
 
 def chroma_siting(frame: VideoFrame) -> Siting:
-    """Where the chroma samples lie by what the stream says; the frame's own are lost.
+    """Where the chroma samples lie by what the stream says.
 
     PyAV does not pass that on, but its conversion heeds it from version 17 on: a ramp shows where it sees the samples.
     """
@@ -158,12 +158,15 @@ def chroma_siting(frame: VideoFrame) -> Siting:
     if not HEEDS_SITING or kind is None or kind["kind"] == "444" or min(frame.width, frame.height) < 8:
         return True, False
     frame.make_writable()
-    bits = int(kind["bits"] or 8)
-    for plane, axis in zip(frame.planes[1:3], (1, 0), strict=True):
+    bits, chroma = int(kind["bits"] or 8), frame.planes[1:3]
+    own = [bytes(plane) for plane in chroma]
+    for plane, axis in zip(chroma, (1, 0), strict=True):
         samples = _samples(plane, wide=bits > 8, padded=True)
         ramp = np.minimum(np.indices(samples.shape)[axis] * _RAMP, 255) << (bits - 8)
         plane.update(ramp.astype(samples.dtype).tobytes())
     filled = frame.reformat(format="yuvj444p" if "j" in frame.format.name else "yuv444p", interpolation=_UNBIASED)
+    for plane, data in zip(chroma, own, strict=True):
+        plane.update(data)
     columns, rows = (_samples(plane) for plane in filled.planes[1:])
     # Luma sample 3 is at 1.5 chroma samples where both begin together, else at 1.25.
     return bool(columns[0, 3] > 1.375 * _RAMP), bool(rows[3, 0] > 1.375 * _RAMP)

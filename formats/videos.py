@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
-_DEMUXERS = {
+DEMUXERS = {
     "mov": (".mp4", ".m4v", ".mov", ".3gp"),
     "matroska": (".mkv", ".webm"),
     "avi": (".avi",),
@@ -44,13 +44,13 @@ _DEMUXERS = {
 }
 """FFmpeg's readers of containers, and the endings of files that they read; a playlist, whatever its name, is none."""
 
-VIDEO_SUFFIXES = frozenset(suffix for suffixes in _DEMUXERS.values() for suffix in suffixes)
+VIDEO_SUFFIXES = frozenset(suffix for suffixes in DEMUXERS.values() for suffix in suffixes)
 
 # From PyAV 19 on there is no such option: bytes that are no text are escaped.
 ANY_TEXT: dict[str, Any] = {} if int(av.__version__.split(".")[0]) >= 19 else {"metadata_errors": "replace"}
 """How files are opened whose titles and comments may be in any encoding; nobody reads them."""
 
-_BOXED_SUFFIXES = frozenset(_DEMUXERS["mov"])
+_BOXED_SUFFIXES = frozenset(DEMUXERS["mov"])
 _FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
 _PICTURE_BOXES = frozenset({b"moov", b"moof", b"mdat"})
 
@@ -98,7 +98,7 @@ class VideoSource:
                 if frame is None:
                     raise _ended(self.path, index, self.frame_count)
                 if (index - start) % step == 0:
-                    yield self._picture(frame, index)
+                    yield self.picture(frame, index)
 
     def _frames_from(self, start: int) -> Generator[VideoFrame, None, None]:
         """The decoded frames from ``start`` on, each by its own time."""
@@ -144,7 +144,8 @@ class VideoSource:
             raise _missing(self.path, following)
         return nearest
 
-    def _picture(self, frame: VideoFrame, index: int) -> NDArray[np.uint8]:
+    def picture(self, frame: VideoFrame, index: int) -> NDArray[np.uint8]:
+        """A decoded frame as it is shown. Raises RigError for one that is interlaced, damaged or of another size."""
         _check_frame(self.path, frame, index, (self.width, self.height) if self.turn[0] else (self.height, self.width))
         try:
             return _turned(to_rgb(frame, self.siting), self.turn)
@@ -198,11 +199,16 @@ def open_video(path: Path) -> VideoSource:
         else:
             count = times.size
             _look_through(path, container, stream, times, listing.keyframes, first)
-        turn = _turn(path, first)
-        width, height = (first.width, first.height) if turn[0] else (first.height, first.width)
-        video = VideoSource(path, width, height, count, fps, times, listing.keyframes, turn=turn)
-        video._picture(first, 0)
-    return replace(video, siting=chroma_siting(first), warnings=(_warning(colours),) if colours else ())
+        video = replace(shown_as(path, first), frame_count=count, fps=fps, times=times, keyframes=listing.keyframes)
+        video.picture(first, 0)
+    return replace(video, warnings=(_warning(colours),) if colours else ())
+
+
+def shown_as(path: Path, first: VideoFrame) -> VideoSource:
+    """How a video's frames are shown, by its first one: size, turn, siting; its frames are not known."""
+    turn = _turn(path, first)
+    width, height = (first.width, first.height) if turn[0] else (first.height, first.width)
+    return VideoSource(path, width, height, 0, None, siting=chroma_siting(first), turn=turn)
 
 
 def _warning(colours: str) -> str:
@@ -235,9 +241,9 @@ def _check_whole(path: Path) -> None:
 
 @contextmanager
 def opened_video(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """The container and its track of pictures: the largest, else the default one; never a cover. Raises RigError."""
+    """The container and its track of pictures. Raises RigError."""
     # The path is absolute and local, or "concat:" and "http:" would be FFmpeg's own language.
-    only = {"protocol_whitelist": "file", "format_whitelist": ",".join(_DEMUXERS)}
+    only = {"protocol_whitelist": "file", "format_whitelist": ",".join(DEMUXERS)}
     try:
         container = av.open(f"file:{path.absolute()}", container_options=only, **ANY_TEXT)
     except av.FFmpegError as error:
@@ -245,24 +251,27 @@ def opened_video(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
             raise _not_opened(path, error.errno, error.strerror) from None
         raise _no_video(path) from None
     with container:
-        covers = Disposition.attached_pic | Disposition.timed_thumbnails
-        tracks = [track for track in container.streams.video if not track.disposition & covers]
-        known = [track for track in tracks if track.codec_context is not None]
-        if not known:
-            raise _not_decoded(path, tracks) if tracks else _no_video(path)
-        stream = max(
-            known, key=lambda track: (track.width * track.height, bool(track.disposition & Disposition.default))
+        yield container, pictures_of(path, container)
+
+
+def pictures_of(path: Path, container: InputContainer) -> VideoStream:
+    """The track of pictures, ready to be decoded: the largest, else the default one; never a cover. Raises RigError."""
+    covers = Disposition.attached_pic | Disposition.timed_thumbnails
+    tracks = [track for track in container.streams.video if not track.disposition & covers]
+    known = [track for track in tracks if track.codec_context is not None]
+    if not known:
+        raise _not_decoded(path, tracks) if tracks else _no_video(path)
+    stream = max(known, key=lambda track: (track.width * track.height, bool(track.disposition & Disposition.default)))
+    context = stream.codec_context
+    if context.width < 1 or context.height < 1 or context.width * context.height > MAX_PIXELS:
+        raise RigError(
+            f"{path}: frames of {context.width} x {context.height} pixels cannot be read; re-encode the video"
         )
-        context = stream.codec_context
-        if context.width < 1 or context.height < 1 or context.width * context.height > MAX_PIXELS:
-            raise RigError(
-                f"{path}: frames of {context.width} x {context.height} pixels cannot be read; re-encode the video"
-            )
-        # A rig has tens of videos, which are read side by side: every further thread would hold another frame.
-        context.thread_count = 1
-        context.options = {"max_pixels": str(MAX_PIXELS)}
-        context.flags |= Flags.unaligned  # or columns that the stream crops would show on the left
-        yield container, stream
+    # A rig has tens of videos, which are read side by side: every further thread would hold another frame.
+    context.thread_count = 1
+    context.options = {"max_pixels": str(MAX_PIXELS)}
+    context.flags |= Flags.unaligned  # or columns that the stream crops would show on the left
+    return stream
 
 
 def _list_packets(path: Path) -> _Listing:

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from decogs.encoder.calibration.boards import parse_board
+from decogs.encoder.calibration.boards import Charuco
 
 BOARD = "charuco:5x4:0.05:0.0375:DICT_4X4_50"
 FOCAL, SIZE = 500.0, (640, 480)
@@ -19,7 +19,7 @@ _DOT = 0.0005
 
 def write_board_videos(folder: Path, *, mirrored: str = "", frames: int = 24) -> None:
     """Three cameras, ``a``, ``b`` and ``c``; the video of ``mirrored`` is turned left to right."""
-    drawn = np.asarray(parse_board(BOARD)._made().generateImage((500, 400)))
+    drawn = np.asarray(Charuco(5, 4, 0.05, 0.0375, "DICT_4X4_50").made().generateImage((500, 400)))
     drawn = cv2.copyMakeBorder(drawn, 20, 20, 20, 20, cv2.BORDER_CONSTANT, value=255)
     to_board = np.array([[_DOT, 0, -19.5 * _DOT], [0, _DOT, -19.5 * _DOT], [0, 0, 1]])
     matrix = np.array([[FOCAL, 0, 319.5], [0, FOCAL, 239.5], [0, 0, 1]])

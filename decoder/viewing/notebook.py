@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import ExitStack
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from ..following import DEFAULT_IDLE
 from ..limits import DEFAULT_MAX_MEMORY
@@ -14,14 +15,20 @@ from ..limits import DEFAULT_MAX_MEMORY
 if TYPE_CHECKING:
     from decogs.codec.header import StreamHeader
 
+    from .piped import PipedStream
     from .server import StreamServer
 
 
 class View:
     """A stream that is being served at ``url``, until ``close``; a context manager. A notebook shows it inline."""
 
-    def __init__(self, server: StreamServer, name: str, width: int | str, height: int) -> None:
+    def __init__(
+        self, server: StreamServer, name: str, width: int | str, height: int, piped: PipedStream | None = None
+    ) -> None:
         self._server, self.name, self._width, self._height = server, name, width, height
+        self._piped = piped
+        if piped is not None:
+            piped.go_on(server.close)
 
     @property
     def url(self) -> str:
@@ -31,10 +38,14 @@ class View:
     def close(self) -> None:
         """Ends the server; what a browser has loaded stays there."""
         self._server.close()
+        if self._piped is not None:
+            self._piped.close()
 
     def wait(self) -> None:
-        """Returns when it is closed: Ctrl-C, or another thread's ``close``."""
+        """Returns when it is closed: Ctrl-C, or another thread's ``close``. OSError where the disk took no more."""
         self._server.wait()
+        if self._piped is not None and self._piped.error is not None:
+            raise self._piped.error
 
     def __enter__(self) -> View:
         return self
@@ -55,7 +66,7 @@ class View:
 
 
 def view(
-    stream: str | os.PathLike[str],
+    stream: str | os.PathLike[str] | BinaryIO,
     *,
     port: int = 0,
     follow: bool = False,
@@ -71,21 +82,31 @@ def view(
     or ``NAME.part``, and what is there is played until it is whole. ``browser``: whether to open one; None does where
     there is a screen and no notebook. ``width`` and ``height``: in a notebook, pixels or, for the width, a share such
     as "100%". ``idle``: seconds that a stream that is followed is waited for. ``rig``: the folder that it was encoded
-    from; what its cameras recorded can then be laid beside their views.
+    from; what its cameras recorded can then be laid beside their views. A ``stream`` that is an open file is a pipe,
+    such as ``sys.stdin.buffer``, and is followed.
 
     The server knows this stream, that rig's frames and nothing else, is bound to 127.0.0.1, and lives until ``close``
     or the end of Python. Raises UsageError, StreamError for what is no readable stream, RigError for what is no rig,
     OSError when the file cannot be read.
     """
+    from ..following import followed
+    from .piped import PipedStream
     from .recorded_pictures import RecordedPictures
     from .server import serve_stream
 
-    header = check_header(stream, follow=follow, idle=idle)
-    recordings = None if rig is None else RecordedPictures(rig, header)
-    server = serve_stream(stream, port=port, follow=follow, recordings=recordings)
+    with ExitStack() as unless_served:
+        if isinstance(stream, (str, os.PathLike)):
+            piped, path = None, followed(stream) if follow else Path(stream)
+            header = check_header(stream, follow=follow, idle=idle)
+        else:
+            piped = unless_served.enter_context(PipedStream(stream))
+            path, header, follow = piped.path, piped.header, True
+        recordings = None if rig is None else RecordedPictures(rig, header)
+        server = serve_stream(path, port=port, follow=follow, recordings=recordings)
+        unless_served.pop_all()
     if has_screen() and not in_notebook() if browser is None else browser:
         open_browser(server.url)
-    return View(server, Path(stream).name, width, height)
+    return View(server, path.name, width, height, piped)
 
 
 def check_header(stream: str | os.PathLike[str], *, follow: bool, idle: float = DEFAULT_IDLE) -> StreamHeader:

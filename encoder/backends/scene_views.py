@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,17 +10,21 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
 
+from .late_view import LateView
 from .protocol import FixedView, TrainingKernel
 
 
 class SceneViews(Sequence[FixedView]):
     """One fixed view for each of the ``cameras``, made when first needed.
 
-    A scene's pictures are asked for by scene: it is drawn unless the views have it already.
+    A scene's pictures are asked for by scene: it is drawn unless the views have it already. ``late``: by camera, by
+    what part of a frame its pictures are later than their instant.
     """
 
-    def __init__(self, kernel: TrainingKernel, cameras: Callable[[], Sequence[Camera]]) -> None:
-        self._kernel, self._cameras = kernel, cameras
+    def __init__(
+        self, kernel: TrainingKernel, cameras: Callable[[], Sequence[Camera]], late: Mapping[str, float] | None = None
+    ) -> None:
+        self._kernel, self._cameras, self._late = kernel, cameras, late or {}
         self._views: list[FixedView] = []
         self._drawn: Splats | None = None
 
@@ -33,13 +37,17 @@ class SceneViews(Sequence[FixedView]):
     def of(self, scene: Splats) -> SceneViews:
         """The views, with this scene drawn in all of them."""
         if not self._views:
-            self._views += [self._kernel.fixed_view(camera) for camera in self._cameras()]
+            self._views += [self._view(camera) for camera in self._cameras()]
         if self._drawn is not scene:
             for view in self._views:
                 view.set_scene(scene)
                 view.redraw()
             self._drawn = scene
         return self
+
+    def _view(self, camera: Camera) -> FixedView:
+        view, late = self._kernel.fixed_view(camera), self._late.get(camera.name, 0.0)
+        return LateView(view, late) if late else view
 
     def pictures(self, scene: Splats) -> list[FloatArray]:
         """This scene through the views, (3, H, W) each."""

@@ -1,4 +1,4 @@
-"""A ChArUco board and where cameras see it; printed inverted, or seen mirrored, as from its back through glass.
+"""A board and where cameras see it; printed inverted, or, a ChArUco, seen mirrored, as from its back through glass.
 
 A flat board seen from behind is the same plane of points: corners found in the flipped picture and turned back are
 where those points are. A video that is itself mirrored looks the same, but fits no other camera while the board moves.
@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, ClassVar, Protocol
 
 import cv2
 import numpy as np
@@ -21,16 +22,39 @@ from .footage import U8
 
 MIN_CORNERS = 6
 """Of one view of the board: below, a pose from them is a guess."""
-_PATTERN = re.compile(
+_CHARUCO = re.compile(
     r"charuco:([0-9]{1,3})x([0-9]{1,3}):([0-9.]{1,12}):([0-9.]{1,12})(?::([A-Z0-9_]{1,40}))?", re.ASCII
 )
+_CHESSBOARD = re.compile(r"chessboard:([0-9]{1,3})x([0-9]{1,3}):([0-9.]{1,12})", re.ASCII)
 _DICTIONARY = "DICT_4X4_1000"
+_WINDOW = 0.25
+"""Of the distance of two corners: half the side of the window that a chessboard's corner is refined in. On the photos
+of `quartet_4cam` corners are exact to .17 pixels; in OpenCV's usual 11 pixels to .2."""
+_WITHIN = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
+
+Corners = tuple[I64, F64]
+"""Numbers (N,) of corners, and their pixels (N, 2), from the centre of the first pixel."""
+
+
+class Board(Protocol):
+    """A flat board with corners of known place. ``is_chiral``: a sight of it tells whether it is mirrored."""
+
+    is_chiral: ClassVar[bool]
+
+    def corners(self) -> F64:
+        """Places (N, 3) of the inner corners on the board, metres."""
+        ...
+
+    def found(self, grey: U8) -> Corners | None:
+        """The corners that a picture (H, W) shows."""
+        ...
 
 
 @dataclass(frozen=True)
-class Board:
+class Charuco:
     """A ChArUco board: squares along its sides, sides of a square and a marker in metres, OpenCV's dictionary."""
 
+    is_chiral: ClassVar[bool] = True
     columns: int
     rows: int
     square: float
@@ -39,15 +63,64 @@ class Board:
 
     def corners(self) -> F64:
         """Places (N, 3) of the inner corners on the board, metres."""
-        return np.asarray(self._made().getChessboardCorners(), np.float64)
+        return np.asarray(self.made().getChessboardCorners(), np.float64)
 
-    def detector(self) -> Any:
-        """OpenCV's detector of it."""
-        return cv2.aruco.CharucoDetector(self._made())
+    def found(self, grey: U8) -> Corners | None:
+        """The corners that a picture (H, W) shows, whichever part of the board is in it."""
+        corners, numbers, _, _ = self._detector.detectBoard(grey)
+        return None if numbers is None else (numbers.ravel().astype(np.int64), corners.reshape(-1, 2))
 
-    def _made(self) -> Any:
+    @cached_property
+    def _detector(self) -> Any:
+        return cv2.aruco.CharucoDetector(self.made())
+
+    def made(self) -> Any:
+        """OpenCV's board."""
         words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, words)
+
+
+@dataclass(frozen=True)
+class Chessboard:
+    """A chessboard: squares along its sides, and the side of a square in metres. A picture shows all of it or none.
+
+    Its first corner is the one at a dark square of the outermost, where there are dark ones at one end only.
+    """
+
+    is_chiral: ClassVar[bool] = False
+    columns: int
+    rows: int
+    square: float
+
+    def corners(self) -> F64:
+        """Places (N, 3) of the inner corners on the board, metres."""
+        rows, columns = np.mgrid[: self.rows - 1, : self.columns - 1]
+        return np.stack([columns.ravel(), rows.ravel(), np.zeros(rows.size)], axis=1) * self.square
+
+    def found(self, grey: U8) -> Corners | None:
+        """The corners that a picture (H, W) shows; counted as seen from the board's front."""
+        seen, corners = cv2.findChessboardCorners(grey, (self.columns - 1, self.rows - 1))
+        if not seen:
+            return None
+        shape = self.rows - 1, self.columns - 1, 2
+        grid = np.asarray(corners, np.float64).reshape(shape)
+        apart = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
+        window = max(2, int(_WINDOW * apart))
+        corners = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), _WITHIN)
+        grid = np.asarray(corners, np.float64).reshape(shape)
+        across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+        if across[0] * down[1] < across[1] * down[0]:
+            grid = grid[:, ::-1]
+        if _beyond(grey, grid) > _beyond(grey, grid[::-1, ::-1]):
+            grid = grid[::-1, ::-1]
+        return np.arange(grid[..., 0].size), grid.reshape(-1, 2)
+
+
+def _beyond(grey: U8, grid: F64) -> float:
+    """Brightness of the square beyond the first corner of a grid (R, C, 2)."""
+    x, y = 1.5 * grid[0, 0] - 0.5 * grid[1, 1]
+    rows, columns = grey.shape
+    return float(grey[int(np.clip(y, 0, rows - 1)), int(np.clip(x, 0, columns - 1))])
 
 
 @dataclass(frozen=True)
@@ -60,41 +133,62 @@ class BoardView:
 
 
 def parse_board(text: str) -> Board:
-    """``charuco:COLSxROWS:SQUARE:MARKER[:DICT]``. Raises UsageError, naming what is wrong."""
-    match = _PATTERN.fullmatch(text)
+    """``charuco:COLSxROWS:SQUARE:MARKER[:DICT]`` or ``chessboard:COLSxROWS:SQUARE``; both count squares.
+
+    Raises UsageError, naming what is wrong.
+    """
+    charuco, chessboard = _CHARUCO.fullmatch(text), _CHESSBOARD.fullmatch(text)
+    match = charuco or chessboard
     if match is None:
         raise UsageError(
             f"`board` {text!r}: expected charuco:COLSxROWS:SQUARE:MARKER[:DICT], such as "
-            f"charuco:4x5:0.054:0.0405:{_DICTIONARY}"
+            f"charuco:4x5:0.054:0.0405:{_DICTIONARY}, or chessboard:COLSxROWS:SQUARE"
         )
-    try:
-        square, marker = float(match[3]), float(match[4])
-    except ValueError:
-        raise UsageError(f"`board` {text!r}: squares and markers are lengths in metres, such as 0.054") from None
-    columns, rows, dictionary = int(match[1]), int(match[2]), match[5] or _DICTIONARY
+    columns, rows = int(match[1]), int(match[2])
     if min(columns, rows) < 3:
         raise UsageError(f"`board` {text!r}: needs at least 3 x 3 squares")
+    try:
+        lengths = [float(length) for length in match.groups()[2:4]]
+    except ValueError:
+        raise UsageError(f"`board` {text!r}: squares and markers are lengths in metres, such as 0.054") from None
+    if charuco is None:
+        return _chessboard(text, columns, rows, lengths[0])
+    return _charuco(text, columns, rows, lengths[0], lengths[1], charuco[5] or _DICTIONARY)
+
+
+def _chessboard(text: str, columns: int, rows: int, square: float) -> Chessboard:
+    if square <= 0:
+        raise UsageError(f"`board` {text!r}: the side of a square is a length in metres, such as 0.054")
+    if (columns + rows) % 2 == 0:
+        raise UsageError(
+            f"`board` {text!r}: {columns} x {rows} squares look the same turned by half; use a board with an odd "
+            "number of squares along one side and an even one along the other, all squares counted"
+        )
+    return Chessboard(columns, rows, square)
+
+
+def _charuco(text: str, columns: int, rows: int, square: float, marker: float, dictionary: str) -> Charuco:
     if not 0 < marker < square:
         raise UsageError(f"`board` {text!r}: a marker is smaller than its square; give SQUARE, then MARKER, in metres")
     if not (dictionary.startswith("DICT_") and hasattr(cv2.aruco, dictionary)):
         raise UsageError(f"`board` {text!r}: OpenCV has no dictionary {dictionary}; give one such as {_DICTIONARY}")
     if len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)).bytesList) < columns * rows // 2:
         raise UsageError(f"`board` {text!r}: {dictionary} has too few markers for {columns} x {rows} squares")
-    return Board(columns, rows, square, marker, dictionary)
+    return Charuco(columns, rows, square, marker, dictionary)
 
 
 class BoardFinder:
     """Finds a board in pictures; remembers whether its print is inverted, which one sight of it tells."""
 
     def __init__(self, board: Board) -> None:
-        self._detector = board.detector()
+        self._board = board
         self._prints = [False, True]
 
     def __call__(self, picture: U8) -> BoardView | None:
         """The board in a picture (H, W, 3); None where fewer than 6 of its corners are found."""
         grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
         for inverted in self._prints:
-            for mirrored in (False, True):
+            for mirrored in (False, True) if self._board.is_chiral else (False,):
                 view = self._found(255 - grey if inverted else grey, mirrored)
                 if view is not None:
                     self._prints = [inverted]
@@ -102,14 +196,13 @@ class BoardFinder:
         return None
 
     def _found(self, grey: U8, mirrored: bool) -> BoardView | None:
-        seen = np.ascontiguousarray(grey[:, ::-1]) if mirrored else grey
-        corners, numbers, _, _ = self._detector.detectBoard(seen)
-        if numbers is None or len(numbers) < MIN_CORNERS:
+        found = self._board.found(np.ascontiguousarray(grey[:, ::-1]) if mirrored else grey)
+        if found is None or len(found[0]) < MIN_CORNERS:
             return None
-        pixels = corners.reshape(-1, 2).astype(np.float64) + 0.5
+        pixels = found[1] + 0.5
         if mirrored:
             pixels[:, 0] = grey.shape[1] - pixels[:, 0]
-        return BoardView(numbers.ravel().astype(np.int64), pixels, mirrored)
+        return BoardView(found[0], pixels.astype(np.float64), mirrored)
 
 
 def board_views(pictures: Iterable[U8], find: BoardFinder) -> dict[int, BoardView]:

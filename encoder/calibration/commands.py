@@ -5,9 +5,17 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import Parser, print_text, progress, run, warn_as, whole_number
 from decogs.formats.errors import UsageError
+
+if TYPE_CHECKING:
+    from decogs.formats.cameras import Camera
+
+    from .boards import Board
+
+EDGES = ("auto", "top", "bottom", "left", "right")
 
 
 def calibrate_main(arguments: Sequence[str] | None = None) -> int:
@@ -28,8 +36,31 @@ def calibrate_parser() -> Parser:
     parser.add_argument(
         "--board",
         metavar="B",
-        help="charuco:COLSxROWS:SQUARE:MARKER[:DICT], lengths in metres: a board that moves through the take, also "
-        "printed inverted or seen from its back through glass (default: none, structure from motion)",
+        help="charuco:COLSxROWS:SQUARE:MARKER[:DICT] or chessboard:COLSxROWS:SQUARE, squares counted, lengths in "
+        "metres: a board that moves through the take; a ChArUco also printed inverted or seen from its back through "
+        "glass (default: none, structure from motion)",
+    )
+    lenses = parser.add_mutually_exclusive_group()
+    lenses.add_argument(
+        "--intrinsics",
+        metavar="FILE",
+        help="lenses, which stay: a calibration.json or any rig, by the cameras' names, or with one lens for all",
+    )
+    lenses.add_argument(
+        "--lenses-only",
+        action="store_true",
+        help="write calibration.json with lenses alone, from a board in pictures that need not be of one instant",
+    )
+    parser.add_argument(
+        "--distance",
+        metavar="CAM_A:CAM_B:METRES",
+        help="between two cameras: the unit becomes the metre (without a board)",
+    )
+    parser.add_argument(
+        "--up",
+        choices=EDGES,
+        default="auto",
+        help="the edge that points up in most pictures (default: as most are held)",
     )
     parser.add_argument(
         "--frames", type=whole_number, metavar="N", help="instants looked at (default: 120 with a board, else 8)"
@@ -44,11 +75,18 @@ def calibrate_parser() -> Parser:
 
 def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
     from .boards import parse_board
-    from .calibrate import calibrate, write_rig
+    from .calibrate import calibrate
+    from .page import page_of
+    from .placed import by_reason, parse_distance
+    from .written import check_folder, write_rig
 
     if options.frames is not None and options.frames < 1:
         raise UsageError("`frames`: needs at least 1")
     board = None if options.board is None else parse_board(options.board)
+    check_folder(Path(options.output), lenses_only=options.lenses_only)
+    if options.lenses_only:
+        _find_lenses(parser, options, board)
+        return
     with progress("calibrating", "step", quiet=options.quiet) as on_step:
         found = calibrate(
             Path(options.videos_dir),
@@ -56,15 +94,34 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
             frames=options.frames,
             seed=options.seed,
             shared_intrinsics=options.shared_intrinsics,
+            intrinsics=None if options.intrinsics is None else Path(options.intrinsics),
+            distance=None if options.distance is None else parse_distance(options.distance),
+            up=options.up,
             on_step=on_step,
         )
-    write_rig(found, Path(options.output))
-    for name, help_ in found.not_connected.items():
-        warn_as(parser)(f"{name}: not connected: {help_}")
-    for name, doubt in found.doubts.items():
-        warn_as(parser)(f"{name}: {doubt}")
-    lines = [
-        f"{one.camera.name}: focal {one.camera.fx:.1f} px, lens {one.camera.distortion_model}, error {one.error:.2f} px"
-        for one in found.placed
-    ]
+    write_rig(found, Path(options.output), page_of(found, options.output))
+    for reason, names in by_reason(found.not_connected).items():
+        warn_as(parser)(f"{names}: not connected: {reason}")
+    for doubt, names in by_reason(found.doubts).items():
+        warn_as(parser)(f"{names}: {doubt}")
+    lines = [_line(one.camera, one.error) for one in found.placed]
     print_text("\n".join([*lines, f"{len(found.placed)} cameras placed ({found.way})"]))
+
+
+def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | None) -> None:
+    from .calibrate import calibrate_lenses
+    from .placed import by_reason
+    from .written import write_lenses
+
+    if board is None:
+        raise UsageError("`lenses_only`: lenses are found from a board; state it with `board`")
+    with progress("calibrating", "step", quiet=options.quiet) as on_step:
+        found, doubts = calibrate_lenses(Path(options.videos_dir), board, options.frames, on_step)
+    write_lenses(found, Path(options.output))
+    for doubt, names in by_reason(doubts).items():
+        warn_as(parser)(f"{names}: {doubt}")
+    print_text("\n".join(_line(camera, error) for camera, error in found.values()))
+
+
+def _line(camera: Camera, error: float) -> str:
+    return f"{camera.name}: focal {camera.fx:.1f} px, lens {camera.distortion_model}, error {error:.2f} px"

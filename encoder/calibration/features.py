@@ -43,11 +43,15 @@ _MAX_DISTANCE = 0.7
 
 @dataclass(frozen=True)
 class Features:
-    """Of one camera: pixels (N, 2) from the picture's corner, descriptors (N, 128) of length 1, instants (N,)."""
+    """Of one camera: pixels (N, 2) from the picture's corner, descriptors (N, 128) of length 1, instants (N,).
+
+    ``moving``: the share of the picture that moves.
+    """
 
     pixels: F64
     descriptors: NDArray[np.float32]
     instants: I64
+    moving: float = 0.0
 
     def static(self) -> Features:
         """Only those of the median picture."""
@@ -73,6 +77,7 @@ def features_of(pictures: Sequence[U8], extractor: Any) -> Features:
         np.concatenate([pixels for pixels, _ in found]) * [width / size[0], height / size[1]],
         np.concatenate([descriptors for _, descriptors in found]),
         np.repeat(instants, [len(pixels) for pixels, _ in found]),
+        float(moving.mean()),
     )
 
 

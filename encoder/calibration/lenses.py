@@ -7,7 +7,7 @@ back here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -95,21 +95,48 @@ class Lens:
 def lens_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> Lens | None:
     """A camera's lens from views of a board; None where they are too few or all alike.
 
-    Every other view is left out of the fit, and the kind taken that fits these best with only the board's pose found
-    for them; more coefficients have to be clearly better. The lens is then fitted to all. Too few views: no distortion.
+    Every other view is left out of the fit, or each in turn of a few, and the kind taken that fits these best with only
+    the board's pose found for them; more coefficients have to be clearly better. The lens is then fitted to all. Three
+    views: no distortion.
     """
     chosen = _spread(views)
     if len(chosen) < MIN_VIEWS:
         return None
-    if len(chosen) < 2 * MIN_VIEWS:
+    if len(chosen) == MIN_VIEWS:
         return _fitted(_KINDS[0], chosen, corners, size)
     best, least = _KINDS[0], np.inf
     for kind in _KINDS:
-        lens = _fitted(kind, chosen[::2], corners, size)
-        error = np.inf if lens is None else _error(lens, chosen[1::2], corners)
+        error = _held_out_error(kind, chosen, corners, size)
         if error < _CLEARLY_LESS * least:
             best, least = kind, error
     return _fitted(best, chosen, corners, size)
+
+
+def _held_out_error(
+    kind: tuple[DistortionModel, bool], views: Sequence[BoardView], corners: F64, size: tuple[int, int]
+) -> float:
+    """Root mean square error, px, of views that a lens of this kind is not fitted to."""
+    if len(views) < 2 * MIN_VIEWS:
+        parts = [([*views[:k], *views[k + 1 :]], [views[k]]) for k in range(len(views))]
+    else:
+        parts = [(list(views[::2]), list(views[1::2]))]
+    lenses = [(_fitted(kind, fitted, corners, size), held_out) for fitted, held_out in parts]
+    errors = [np.inf if lens is None else board_error(lens, held_out, corners) for lens, held_out in lenses]
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def focal_that_fits(lens: Lens, views: Sequence[BoardView], corners: F64) -> tuple[float, float]:
+    """The focal length, px, of an otherwise given lens with the least error, px, over views of a board; and that error.
+
+    Between half and twice the given one.
+    """
+
+    def error(scale: float) -> float:
+        return board_error(replace(lens, focal=(scale * lens.focal[0], scale * lens.focal[1])), views, corners)
+
+    scale = min(np.geomspace(0.5, 2, 29), key=error)
+    scale = min(scale * np.geomspace(0.95, 1.05, 21), key=error)
+    return float(scale * lens.focal[0]), error(scale)
 
 
 def focal_deviation(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> float:
@@ -172,8 +199,8 @@ def _fitted(
     return Lens(kind, (float(matrix[0, 0]), float(matrix[1, 1])), centre, tuple(distortion.ravel()[:4].tolist()))
 
 
-def _error(lens: Lens, views: Sequence[BoardView], corners: F64) -> float:
-    """Root mean square distance, px, with the board's pose found for each view."""
+def board_error(lens: Lens, views: Sequence[BoardView], corners: F64) -> float:
+    """Root mean square distance, px, of views from a lens, with the board's pose found for each."""
     squares = []
     for view in views:
         points, pixels = corners[view.numbers], view.pixels - 0.5

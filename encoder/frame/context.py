@@ -60,7 +60,7 @@ class Context:
             ingest,
             settings,
             kernel,
-            SceneViews(kernel, cameras),
+            SceneViews(kernel, cameras, ingest.rig.late if _follows_frame_by_frame(settings) else None),
             SceneViews(kernel, lambda: fade_cameras(cameras())),
             method_of(settings),
             corrector_of(ingest.views, settings.corrections),
@@ -80,3 +80,8 @@ class Context:
     def stopping(self, deadline: float | None = None) -> StoppingRule:
         """What ends a training, by the settings' target and the ``deadline``."""
         return StoppingRule(deadline, self.settings.target_psnr, self.on_loss)
+
+
+def _follows_frame_by_frame(settings: EncodeSettings) -> bool:
+    """Whether what a frame's training moves is a frame's motion: no catching up, no frame that is left to the next."""
+    return not settings.closed and settings.time_budget is None

@@ -25,6 +25,7 @@ class FrameReport:
     ``replayed``: the frame was written by an earlier encode. ``effects``: those that it was trained for; none for a
     first frame, a replayed one and a deferred one, which a time budget leaves untrained.
     ``left_out``: cameras without a usable picture of the frame, and why (`input.dropouts`).
+    ``dropped``: cameras of a recording that goes on that had no picture of the frame, and why; the one before counts.
     ``rejected``: training made the pictures worse, so the scene was kept.
     ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".
     ``full_frame_change``: the masks found no change although most of the pictures had changed; every Gaussian was
@@ -44,6 +45,7 @@ class FrameReport:
     replayed: bool = False
     effects: list[str] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
+    dropped: dict[str, str] = field(default_factory=dict)
     rejected: bool = False
     uncorrected: list[str] = field(default_factory=list)
     full_frame_change: bool = False

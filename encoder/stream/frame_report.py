@@ -8,6 +8,7 @@ from statistics import fmean
 from decogs.decoder.views import render_view
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import PacketKind
+from decogs.formats.rigs import dropped_in
 from decogs.formats.splats import FloatArray
 
 from ..change.masks import usable_views
@@ -55,6 +56,7 @@ class FrameReporter:
                 for view, mask in zip(views, outcome.selection.masks, strict=False)
                 if mask.lost
             },
+            dropped=dropped_in(context.ingest.rig, frame.index),
             rejected=outcome.rejected,
             uncorrected=list(outcome.uncorrected),
             full_frame_change=outcome.full_frame_change,

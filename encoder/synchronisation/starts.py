@@ -9,35 +9,29 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.callbacks import OnProgress
-from decogs.formats.cameras import Camera, scale_camera
+from decogs.formats.cameras import Camera
 from decogs.formats.length_units import metres_of
-from decogs.formats.pictures import Picture
 from decogs.formats.rigs import FrameSource, Rig
 from decogs.formats.rigs.in_step import common_rate, steps_of
 from decogs.formats.rigs.rig import usual
 from decogs.formats.soundtracks import Sound, read_sound
 from decogs.formats.videos import VideoSource
 
-from ..input.ingest import display_referred
 from ..parallel import Each, side_by_side
+from .drift import find_drifts, said
 from .joint import Joint
 from .motion import starts_by_motion
-from .motion_signals import U8
+from .small import MAX_FRAMES, small_camera, small_clip, small_grey
 from .sound import SECONDS, starts_by_sound
 from .timecode import starts_by_timecode
 
 F64 = NDArray[np.float64]
 
 TIMECODE, AUDIO, MOTION = "timecode", "audio", "motion"
-_MAX_PIXELS = 352 * 264
-"""Of the pictures in which motion is looked for."""
-_MAX_FRAMES = 300
-"""Of each recording, from its first on, in which motion is looked for: ten seconds, which bounds memory and time."""
 _MIN_VOTES = 0.7
 """Share of a camera's pairs that must agree. Figure, recordings played backwards, mirrored, or of nothing: .02 to .67;
 as they were: .77 to 1."""
@@ -92,15 +86,19 @@ def find_starts(rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done
         for sound in each(_sound, rig.sources):
             sounds.append(sound)
             on_step(len(sounds), total)
-        small = [_small(camera) for camera in cameras]
-        clips = [_clip(source, step, to) for source, step, to in zip(rig.sources, steps, small, strict=True)]
+        small = [small_camera(camera) for camera in cameras]
+        clips = [
+            small_clip(*own) for own in zip(rig.sources, map(_first_frames, rig.sources, steps), small, strict=True)
+        ]
         moved = starts_by_motion(small, clips, each, lambda done: on_step(len(cameras) + done, total))
-    found = [(TIMECODE, starts_by_timecode(rig, rate))]
-    if rate is not None:
-        heard = starts_by_sound(cameras, sounds, metres_of(rig.length_unit))
-        found.append((AUDIO, Joint(heard.starts * rate, heard.errors * rate, heard.votes)))
-    found.append((MOTION, whole_if_in_step(moved)))
-    return joined([camera.name for camera in cameras], rate, found)
+        found = [(TIMECODE, starts_by_timecode(rig, rate))]
+        if rate is not None:
+            heard = starts_by_sound(cameras, sounds, metres_of(rig.length_unit))
+            found.append((AUDIO, Joint(heard.starts * rate, heard.errors * rate, heard.votes)))
+        found.append((MOTION, whole_if_in_step(moved)))
+        together = joined([camera.name for camera in cameras], rate, found)
+        drifts = find_drifts(rig, together.starts, each) if together.starts else {}
+    return replace(together, warnings=(*together.warnings, *said(drifts, rate or 1.0)))
 
 
 def frames_late(cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]], each: Each) -> F64:
@@ -108,7 +106,7 @@ def frames_late(cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]
 
     A camera that starts early is behind. ``pictures``: of successive frames, (F, H, W, 3) each.
     """
-    small = [_small(camera) for camera in cameras]
+    small = [small_camera(camera) for camera in cameras]
     clips = [(small_grey(picture, to) for picture in own) for own, to in zip(pictures, small, strict=True)]
     moved = starts_by_motion(small, clips, each)
     starts = np.where(_chances(moved) >= _SURE, whole_if_in_step(moved).starts, np.nan)
@@ -186,24 +184,9 @@ def _phase(starts: F64) -> float:
     return float(np.modf(starts[int(np.argmin(nearest))])[0])
 
 
+def _first_frames(source: FrameSource, step: int) -> range:
+    return range(0, min(source.frame_count, MAX_FRAMES * step), step)
+
+
 def _sound(source: FrameSource) -> Sound | None:
     return read_sound(source.path, SECONDS) if isinstance(source, VideoSource) else None
-
-
-def _small(camera: Camera) -> Camera:
-    return scale_camera(camera, min(1.0, math.sqrt(_MAX_PIXELS / (camera.width * camera.height))))
-
-
-def _clip(source: FrameSource, step: int, camera: Camera) -> Iterator[U8]:
-    """The first pictures of a recording, grey and at a small camera's size."""
-    for picture in source.read(0, min(source.frame_count, _MAX_FRAMES * step), step):
-        yield small_grey(picture, camera)
-
-
-def small_grey(picture: Picture, camera: Camera) -> U8:
-    """The picture (H, W), grey, at the camera's size."""
-    levels = picture if picture.dtype == np.uint8 else np.rint(display_referred(picture) * 255).astype(np.uint8)
-    grey = cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY)
-    if grey.shape != (camera.height, camera.width):
-        grey = cv2.resize(grey, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-    return np.asarray(grey, np.uint8)

@@ -14,7 +14,7 @@ from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
 from .detection import calibration_files, reader_at
 from .in_step import in_step
-from .live import open_live
+from .live import LiveSource, dropped_in, open_live, stop_waiting
 from .rig import Points, Rig, without_cameras
 from .sources import FrameSource, PictureSource, list_folder
 
@@ -22,6 +22,7 @@ __all__ = [
     "FrameSource",
     "Points",
     "Rig",
+    "dropped_in",
     "files_of",
     "files_with",
     "in_step",
@@ -29,6 +30,7 @@ __all__ = [
     "open_recordings",
     "open_rig",
     "read_frames",
+    "stop_waiting",
     "without_cameras",
 ]
 
@@ -98,7 +100,9 @@ def read_frames(
 
 def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> Iterator[tuple[int, list[Picture]]]:
     readers = [source.read(frames.start, frames.stop, frames.step) for _, source in chosen]
-    pool = ThreadPoolExecutor(max_workers=max(1, min(len(chosen), processor_count())))
+    # Cameras that are recording are waited for, all at once.
+    waits = any(isinstance(source, LiveSource) for _, source in chosen)
+    pool = ThreadPoolExecutor(max_workers=max(1, len(chosen) if waits else min(len(chosen), processor_count())))
     pending: list[Future[Picture]] = []
     try:
         for index in frames:
@@ -111,6 +115,7 @@ def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> 
             except RecordingEnded:
                 return
     finally:
+        stop_waiting(source for _, source in chosen)
         # Waits for decoders in flight: a reader must not be closed while its thread runs. Not for the threads to end:
         # the garbage collector may close this while it holds the lock that joining a thread takes.
         wait(pending)

@@ -54,6 +54,7 @@ def in_step(rig: Rig, starts: Mapping[str, float]) -> Rig:
         fps=common_rate(rig),
         frame_count=span.count,
         warnings=(*_odd_rates(sources), *rig.warnings, *said),
+        late={name: rest for name, rest in zip(named, span.rests, strict=True) if abs(rest) > _SAID_REST},
     )
 
 

@@ -35,7 +35,8 @@ class Rig:
     that the cameras and points were read from. ``warnings``: what the user should know, one line each.
     ``length_unit``: a world unit in words, where the calibration has one. ``ignore_masks``: by camera, the pictures
     that the calibration names for pixels that teach nothing, which are black; each once. ``starts``: by camera, when
-    its first picture was taken, in frames on a common clock, as the calibration states it.
+    its first picture was taken, in frames on a common clock, as the calibration states it. ``late``: by camera, by what
+    part of a frame its pictures are later than their instant, below 0 earlier, which `in_step` finds and cannot mend.
     """
 
     path: Path
@@ -52,6 +53,7 @@ class Rig:
     length_unit: str = ""
     ignore_masks: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
     starts: Mapping[str, float] = field(default_factory=dict)
+    late: Mapping[str, float] = field(default_factory=dict)
 
 
 def assemble_rig(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import http.client
+import io
 import os
 import signal
 import socket
@@ -22,7 +24,7 @@ import pytest
 
 from decogs.decoder import open_stream, view
 from decogs.decoder.commands import view_main
-from decogs.decoder.viewing import notebook, page_files
+from decogs.decoder.viewing import notebook, page_files, piped
 from decogs.decoder.viewing.byte_ranges import NoSuchBytes, asked_range
 from decogs.decoder.viewing.recorded_pictures import RecordedPictures
 from decogs.decoder.viewing.server import StreamServer, serve_stream
@@ -246,6 +248,59 @@ def test_a_growing_stream_is_served_as_far_as_it_is(small_stream: Any) -> None:
         assert ask(server.url, path.name, Range="bytes=600-").body == data[600:]
         growing.rename(path)
         assert ask(server.url, path.name).body == data
+
+
+@pytest.mark.parametrize("kind", ["pipe", "memory"])
+def test_a_stream_through_a_pipe_is_served_as_far_as_it_came(small_stream: Any, kind: str) -> None:
+    data = small_stream.path.read_bytes()
+    if kind == "memory":
+        with view(io.BytesIO(data), browser=False) as shown:
+            assert eventually(shown.url, data)
+        return
+    reading, writing = os.pipe()
+    with os.fdopen(reading, "rb") as pipe, os.fdopen(writing, "wb", buffering=0) as encoder:
+        encoder.write(data[: len(data) // 2])
+        with view(pipe, browser=False) as shown:
+            assert b" follow" in ask(shown.url).body
+            assert eventually(shown.url, data[: len(data) // 2])
+            encoder.write(data[len(data) // 2 :])
+            assert eventually(shown.url, data)
+            encoder.close()
+            assert eventually(shown.url, data)
+            kept = Path(shown._piped.path)  # type: ignore[union-attr]
+            assert kept.parent.exists()
+    assert not kept.parent.exists()
+
+
+def eventually(url: str, served: bytes) -> bool:
+    """Whether the stream that is served has these bytes within ten seconds."""
+    end = time.monotonic() + 10
+    while (found := ask(url, "stream.dgs")).body != served and time.monotonic() < end:
+        time.sleep(0.01)
+    return found.body == served
+
+
+def test_a_pipe_without_a_stream_is_refused(capsys: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for data in b"", b"no stream at all, but text":
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+        assert view_main(["-", "--no-browser"]) == 2
+        assert capsys.readouterr().err.startswith("decogs-view: error: -: ")
+    assert view_main(["-", "-o", str(tmp_path / "site")]) == 2
+    assert "-: a pipe cannot be seeked" in capsys.readouterr().err
+
+
+def test_a_disk_that_is_full_ends_what_is_served(small_stream: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing would take the pipe's bytes any more, and the encoder would wait for ever."""
+
+    def full(*names: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(piped.os, "replace", full)
+    with (
+        view(io.BytesIO(small_stream.path.read_bytes()), browser=False) as shown,
+        pytest.raises(OSError, match="space"),
+    ):
+        shown.wait()
 
 
 @pytest.mark.parametrize("name", ["a b&<'\".dgs", "häuser #1?.dgs", "http:x.dgs", "100%.dgs"])

@@ -29,6 +29,7 @@ from decogs.encoder.commands import encode_main, join_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.synchronisation.commands import sync_main
 from decogs.formats.cameras import project
+from decogs.formats.container import SIGNATURE
 from decogs.formats.rigs import open_rig
 
 ROOT = Path(__file__).parents[2]
@@ -76,6 +77,9 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
     calibration = json.loads(Path(tmp_path / "rig_dir" / "rig.json").read_text())
     (tmp_path / "rig_dir" / "rig.json").write_text(json.dumps(calibration | {"fps": 30}))
     write_masks(tmp_path)
+    live = ['calibration = "rig_dir"', "fps = 30", "late = 0.05", "end = 0.1", "[cameras]"]
+    live += [f'{name} = "rig_dir/{name}/{{:04d}}.png"' for name in tiny_rig.names]
+    (tmp_path / "sources.toml").write_text("\n".join(live))
     write_board_videos(tmp_path / "videos_dir")
     short = replace(
         tiny_settings,
@@ -115,8 +119,9 @@ def write_masks(folder: Path) -> None:
 def look_once(shown: View) -> None:
     with urlopen(shown.url) as page:
         assert b"<decogs-player" in page.read()
-    with urlopen(shown.url + "scene.dgs") as stream:
-        assert stream.read() == Path("scene.dgs").read_bytes()
+    with urlopen(shown.url + shown.name) as stream:
+        begun = stream.read()
+    assert begun == Path(shown.name).read_bytes() if Path(shown.name).exists() else begun.startswith(SIGNATURE)
 
 
 def run_line(line: str, monkeypatch: pytest.MonkeyPatch) -> None:

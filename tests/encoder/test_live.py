@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+import io
+import os
 import re
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 
+from decogs.decoder import open_stream
+from decogs.decoder.following import follow_stream
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.presets import PRESETS
-from decogs.formats.errors import RigError
+from decogs.formats.errors import RigError, StreamError
 from decogs.formats.rigs import open_live, open_rig, read_frames
 from encode_rig import encode_rig
 
+COMMANDS = Path(sys.executable).parent
 PACE = 0.05
 """Seconds from one frame to the next."""
 
@@ -159,6 +168,89 @@ def test_the_command(
     assert (tmp_path / "live.dgs").read_bytes() == (tmp_path / "after.dgs").read_bytes()
 
 
+def test_the_pipe(tmp_path: Path, sources: Path, moving_rig: Path, moving: Any) -> None:
+    """``decogs-encode --live sources.toml -o - | decogs-view -``: seen while cameras record, whole at the end."""
+    capture, count = tmp_path / "capture", open_rig(moving_rig).frame_count
+    options = ["--preset", "live", "--quiet", "--keyframe", str(moving.path), "--holdout", "cam02"]
+    live = [*options, "--live", str(sources), "--frames", f":{count}", "-o", "-"]
+    copied(moving_rig, capture, range(2))
+    with (
+        subprocess.Popen([COMMANDS / "decogs-encode", *live], stdout=subprocess.PIPE) as encoder,
+        subprocess.Popen(
+            [COMMANDS / "decogs-view", "-", "--no-browser"],
+            stdin=encoder.stdout,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "TMPDIR": str(tmp_path)},  # it is killed, and removes nothing
+        ) as viewer,
+    ):
+        try:
+            assert viewer.stdout is not None
+            url = viewer.stdout.readline().split()[1]
+            early = served(url, lambda data: frames_of(data) == 2)
+            assert frames_of(early) == 2
+            copied(moving_rig, capture, range(2, count))
+            assert encoder.wait(60) == 0
+            late = served(url, lambda data: frames_of(data) == count)
+        finally:
+            encoder.kill()
+            viewer.kill()
+    as_preset = ["--effects", ",".join(PRESET_EFFECTS)]
+    assert encode_main([str(moving_rig), "-o", str(tmp_path / "after.dgs"), *options, *as_preset]) == 0
+    assert late == (tmp_path / "after.dgs").read_bytes()
+    assert late.startswith(early)
+
+
+def test_ctrl_c_ends_the_wait_for_the_next_frame(tmp_path: Path, sources: Path, moving_rig: Path, moving: Any) -> None:
+    """The stream is whole at once, and so is the command, though ten minutes were to be waited."""
+    sources.write_text(sources.read_text().replace("end = 60", "end = 600"))
+    copied(moving_rig, tmp_path / "capture", range(2))
+    output = tmp_path / "live.dgs"
+    options = ["--preset", "live", "--quiet", "--keyframe", str(moving.path), "--holdout", "cam02", "-o", str(output)]
+    with subprocess.Popen(
+        [COMMANDS / "decogs-encode", "--live", sources, *options],
+        stdout=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as encoder:
+        try:
+            end = time.monotonic() + 60
+            part = output.with_name("live.dgs.part")
+            while (not part.exists() or frames_of(part.read_bytes()) < 2) and time.monotonic() < end:
+                time.sleep(0.05)
+            encoder.send_signal(signal.SIGINT)
+            assert encoder.wait(60) == 130
+        finally:
+            encoder.kill()
+    assert frames_of(output.read_bytes()) == 2
+
+
+def copied(rig: Path, capture: Path, frames: range) -> None:
+    """Every camera's pictures of these frames, each under its name at once."""
+    for folder in (folder for folder in rig.iterdir() if folder.is_dir()):
+        (capture / folder.name).mkdir(parents=True, exist_ok=True)
+        for path in sorted(folder.glob("*.png"))[frames.start : frames.stop]:
+            shutil.copyfile(path, tmp := capture / folder.name / "new")
+            tmp.rename(capture / folder.name / path.name)
+
+
+def served(url: str, enough: Callable[[bytes], bool]) -> bytes:
+    """What the page is given once that is ``enough``, or after a minute."""
+    end = time.monotonic() + 60
+    while True:
+        with urlopen(url + "stream.dgs") as answer:
+            data: bytes = answer.read()
+        if enough(data) or time.monotonic() > end:
+            return data
+        time.sleep(0.05)
+
+
+def frames_of(data: bytes) -> int:
+    """How many frames the beginning of a stream has."""
+    with suppress(StreamError), follow_stream(io.BytesIO(data)) as stream:
+        return sum(1 for _ in stream.frames())
+    return 0
+
+
 @pytest.mark.parametrize(
     ("replaced", "by", "pattern"),
     [
@@ -166,8 +258,8 @@ def test_the_command(
         ("late = 60", "late = nan", "'late' is NaN"),
         ("[cameras]", "[other]", "'cameras' is no table"),
         ("cam01 = ", "cam77 = ", "'cam77' is no camera of .*, which has cam00, cam01"),
-        ("cam01/{:04d}", "cam01/{:999999999d}", "'cam01' has not one place for the frame's number"),
-        ("cam01/{:04d}", "cam01/0000", "'cam01' has not one place for the frame's number"),
+        ("cam01/{:04d}", "cam01/{:999999999d}", "'cam01' is no video, no address, and has not one place"),
+        ("cam01/{:04d}", "cam01/0000", "'cam01' is no video, no address, and has not one place"),
         ('calibration = "', 'calibration = "/nowhere', "no calibration|neither a folder"),
     ],
 )
@@ -181,21 +273,48 @@ def test_a_file_of_sources_that_cannot_be(sources: Path, replaced: str, by: str,
 
 
 def test_the_file_on_the_page(tmp_path: Path, moving_rig: Path) -> None:
-    """docs/rig.md: its example is read, and what it says of values left out is so."""
-    page = (Path(__file__).parents[2] / "docs" / "rig.md").read_text()
+    """docs/live.md: its example is read, and what it says of values left out is so."""
+    page = (Path(__file__).parents[2] / "docs" / "live.md").read_text()
     example = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
     assert example is not None
     (tmp_path / "rig_dir").symlink_to(moving_rig)
     lines = example[1].splitlines()
     shorter = [line for line in lines if "if left out" not in line]
-    assert len(shorter) == len(lines) - 3
+    assert len(shorter) == len(lines) - 4
     rigs = []
     for text in lines, shorter:
         (tmp_path / "sources.toml").write_text("\n".join(text))
         rigs.append(open_live(tmp_path / "sources.toml"))
-    assert [camera.name for camera in rigs[0].cameras] == ["cam00", "cam01"]
+    assert [camera.name for camera in rigs[0].cameras] == ["cam00", "cam01", "cam02"]
     assert rigs[0].fps == 25
-    assert len({repr(source.recording) for rig in rigs for source in rig.sources}) == 1  # type: ignore[attr-defined]
+    assert len({source.path for source in rigs[0].sources}) == 3
+    assert what_is_known(rigs[0]) == what_is_known(rigs[1])
+
+
+def what_is_known(rig: Any) -> list[object]:
+    """Of a live rig all that its file says."""
+    recording = rig.sources[0].recording
+    feeds = [opened.keywords for opened in recording.opened.values()]
+    told = [{key: value for key, value in feed.items() if key != "clock"} for feed in feeds]
+    return [recording.fps, recording.late, recording.end, recording.every, told]
+
+
+def test_frames_that_a_budget_leaves_no_time_for(
+    tmp_path: Path,
+    sources: Path,
+    moving_rig: Path,
+    tiny_settings: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """.1 seconds are two and a half frames: each third one is encoded."""
+    shutil.copytree(moving_rig, tmp_path / "capture")
+    monkeypatch.setitem(PRESETS, "tiny", tiny_settings)
+    given = ["--live", str(impatient(sources)), "--preset", "tiny", "-o", str(tmp_path / "live.dgs"), "--quiet"]
+    assert encode_main([*given, "--time-budget", "100ms/frame"]) == 0
+    assert "one of 3 frames is encoded, so that the stream has 8.333 a second" in capsys.readouterr().err
+    with open_stream(tmp_path / "live.dgs") as stream:
+        assert (stream.frame_count, stream.header.fps) == (2, pytest.approx(25 / 3))
 
 
 def test_pictures_of_another_size(tmp_path: Path, sources: Path, moving_rig: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from decogs.encoder.calibration.board_rig import place_by_board
-from decogs.encoder.calibration.boards import BoardFinder, BoardView, parse_board
+from decogs.encoder.calibration.boards import BoardFinder, BoardView, Charuco, parse_board
 from decogs.encoder.calibration.lenses import Lens
 from decogs.formats.errors import UsageError
 
@@ -16,7 +16,7 @@ LENS = Lens("opencv", (500.0, 500.0), (319.5, 239.5), (-0.1, 0.02, 0.0, 0.0))
 
 
 def _picture(*, inverted: bool, mirrored: bool) -> np.ndarray:
-    drawn = np.asarray(parse_board(BOARD)._made().generateImage((500, 400)))
+    drawn = np.asarray(Charuco(5, 4, 0.05, 0.0375, "DICT_4X4_50").made().generateImage((500, 400)))
     picture = cv2.copyMakeBorder(drawn, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
     picture = 255 - picture if inverted else picture
     picture = picture[:, ::-1] if mirrored else picture
@@ -35,7 +35,32 @@ def test_a_board_is_found_inverted_and_mirrored(inverted: bool, mirrored: bool) 
     np.testing.assert_allclose(view.pixels, np.stack([x, squares[:, 1]], axis=1), atol=0.6)
 
 
-@pytest.mark.parametrize("text", ["charuco:5x4:1", "charuco:5x4:0.03:0.05", "charuco:9x9:0.05:0.03:DICT_NONE", "x"])
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+def test_a_chessboard_s_corners_are_the_same_however_it_is_turned(turns: int) -> None:
+    board = parse_board("chessboard:6x5:0.04")
+    squares = np.indices((5, 6)).sum(axis=0) % 2 * 200 + 20
+    drawn = np.kron(squares, np.ones((40, 40))).astype(np.uint8)
+    picture = np.rot90(np.pad(drawn, 60, constant_values=220), turns)
+    view = BoardFinder(board)(np.repeat(np.ascontiguousarray(picture)[..., None], 3, axis=2))
+    assert view is not None
+    seen = view.pixels - np.array(picture.shape[::-1]) / 2
+    turned = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), turns) @ seen.T
+    places = board.corners()[:, :2] / 0.04 * 40 - [80, 60]
+    np.testing.assert_allclose(turned.T, places, atol=0.2)  # a tenth of a pixel on each side
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "chessboard:6x6:0.04",
+        "chessboard:6x5",
+        "chessboard:6x5:0",
+        "charuco:5x4:1",
+        "charuco:5x4:0.03:0.05",
+        "charuco:9x9:0.05:0.03:DICT_NONE",
+        "x",
+    ],
+)
 def test_a_board_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="`board`"):
         parse_board(text)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from board_videos import BOARD, FOCAL, POSES, write_board_videos
-from decogs.encoder.calibration import calibrate as module
+from decogs.encoder.calibration import by_board as module
 from decogs.encoder.calibration.board_rig import BoardRig
 from decogs.encoder.calibration.boards import BoardView, parse_board
 from decogs.encoder.calibration.commands import calibrate_main

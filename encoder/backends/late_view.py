@@ -1,0 +1,109 @@
+"""A fixed view of a camera whose pictures are taken a part of a frame after the others', or before.
+
+What moves is drawn where it is by then, at constant velocity: a Gaussian at x that was at b a frame before is drawn at
+x + late (x - b), and its gradient is 1 + late times as large. Without it, cameras half a frame apart pull what moves to
+two places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.rasterise.native import RowArray
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import FloatArray, Splats
+
+from .protocol import Drawable, FixedView, LossValue, SplatGradients
+
+
+class LateView:
+    """A `FixedView` whose pictures are taken ``late`` frames after their instant, -.5 to .5.
+
+    Masks and losses see it as any other: its scene is where it is when its picture is taken. Gaussians under training
+    are read into the host's memory for it.
+    """
+
+    def __init__(self, view: FixedView, late: float) -> None:
+        self._view, self._late = view, late
+        self.camera: Camera = view.camera
+        self._scene: Splats | None = None
+        self._shown: Splats | None = None
+        self._drawn: NDArray[np.bool_] = np.zeros(0, np.bool_)
+
+    @property
+    def rgb(self) -> FloatArray:
+        return self._view.rgb
+
+    @property
+    def alpha(self) -> FloatArray:
+        return self._view.alpha
+
+    @property
+    def depth(self) -> FloatArray:
+        return self._view.depth
+
+    @property
+    def met(self) -> NDArray[np.uint8]:
+        return self._view.met
+
+    def set_scene(self, scene: Splats) -> None:
+        """A scene that is known from ``commit`` goes on as it moved; of another one nothing is known to move."""
+        if scene is not self._scene:
+            self._scene = self._shown = scene
+        assert self._shown is not None
+        self._view.set_scene(self._shown)
+
+    def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
+        return self._view.redraw(marks)
+
+    def detach(self, rows: RowArray) -> None:
+        self._view.detach(rows)
+
+    def draw(self, moving: Drawable, rows: RowArray, *, depth: bool = False) -> None:
+        assert self._scene is not None
+        values: Splats = moving if isinstance(moving, Splats) else moving.splats
+        before = self._scene.means
+        self._drawn = rows < len(before)
+        motion = np.zeros_like(values.means)
+        motion[self._drawn] = values.means[self._drawn] - before[rows[self._drawn]]
+        self._view.draw(_moved(values, self._late * motion), rows, depth=depth)
+
+    def loss(
+        self,
+        target: FloatArray,
+        *,
+        l1_scale: float,
+        ssim_scale: float,
+        l1_weight: FloatArray | None = None,
+        focus: FloatArray | None = None,
+    ) -> LossValue:
+        return self._view.loss(target, l1_scale=l1_scale, ssim_scale=ssim_scale, l1_weight=l1_weight, focus=focus)
+
+    def backward(self, v_rgb: FloatArray | None = None, *, out: SplatGradients | None = None) -> SplatGradients:
+        gradients = self._view.backward(v_rgb, out=out).host()
+        gradients.means[self._drawn] *= 1 + self._late
+        return gradients
+
+    def commit(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
+        """Also what moved up to now and stays, or goes on otherwise, is put where it is at its picture's time."""
+        assert self._scene is not None
+        assert self._shown is not None
+        before = self._scene.means
+        new = np.arange(len(before)) if renumbered is None else renumbered
+        there = np.flatnonzero(new >= 0)
+        motion = np.zeros_like(scene.means)
+        motion[new[there]] = scene.means[new[there]] - before[there]
+        stale = there[(self._shown.means[there] != before[there]).any(axis=1)]
+        self._view.detach(stale)
+        self._scene, self._shown = scene, _moved(scene, self._late * motion)
+        self._view.commit(self._shown, np.union1d(rows, new[stale]), renumbered)
+
+    def centres(self) -> FloatArray:
+        return self._view.centres()
+
+
+def _moved(splats: Splats, by: FloatArray) -> Splats:
+    return replace(splats, means=np.ascontiguousarray(splats.means + by, np.float32))

@@ -1,0 +1,92 @@
+"""A calibration as files: rig.json, which every command reads, calibration.json and a page."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import RigError
+from decogs.formats.outputs import staged_files
+
+from .placed import Calibration, Placed
+
+CALIBRATION, _RIG = "calibration.json", "rig.json"
+PAGE = "report.html"
+
+
+def check_folder(folder: Path, *, lenses_only: bool) -> None:
+    """Raises RigError where a rig lies that `write_rig` did not write, or, for lenses alone, any."""
+    if (folder / _RIG).exists() and (lenses_only or not (folder / CALIBRATION).exists()):
+        raise RigError(f"{folder / _RIG}: another calibration is there; name another folder")
+
+
+def write_rig(found: Calibration, folder: Path, page: str) -> None:
+    """Writes rig.json, which names the videos by relative paths, calibration.json and the page."""
+    document = {
+        "pixel_convention": "(0,0)",
+        "cameras": [_camera(one.camera) | _place(one) for one in found.placed],
+        "not_connected": list(found.not_connected),
+        "way": found.way,
+    }
+    _write(folder, {_RIG: _text(_rig(found, folder)), CALIBRATION: _text(document), PAGE: page})
+
+
+def write_lenses(cameras: Mapping[str, tuple[Camera, float]], folder: Path) -> None:
+    """Writes calibration.json with lenses alone, and the error of each, px."""
+    records = [_camera(camera) | {"reprojection_error": error} for camera, error in cameras.values()]
+    _write(folder, {CALIBRATION: _text({"pixel_convention": "(0,0)", "cameras": records})})
+
+
+def _write(folder: Path, texts: Mapping[str, str]) -> None:
+    with staged_files(folder) as staging:
+        for name, text in texts.items():
+            (staging / name).write_text(text, encoding="utf-8")
+
+
+def _text(document: Mapping[str, Any]) -> str:
+    return json.dumps(document, indent=1) + "\n"
+
+
+def _rig(found: Calibration, folder: Path) -> dict[str, Any]:
+    cameras = [
+        {
+            "name": one.camera.name,
+            "file": os.path.relpath(one.footage.source.path.resolve(), folder.resolve()),
+            "width": one.camera.width,
+            "height": one.camera.height,
+            "fx": one.camera.fx,
+            "fy": one.camera.fy,
+            "cx": one.camera.cx - 0.5,
+            "cy": one.camera.cy - 0.5,
+            "distortion_model": one.camera.distortion_model,
+            "distortion": list(one.camera.distortion),
+            "world_to_camera": one.camera.world_to_camera.tolist(),
+        }
+        for one in found.placed
+    ]
+    unit = {"length_unit": found.length_unit} if found.length_unit else {}
+    return {"pixel_convention": "(0,0)", **unit, "cameras": cameras}
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "focal": [camera.fx, camera.fy],
+        "centre": [camera.cx - 0.5, camera.cy - 0.5],
+        "distortion_model": camera.distortion_model,
+        "distortion": list(camera.distortion),
+    }
+
+
+def _place(one: Placed) -> dict[str, Any]:
+    pose = one.camera.world_to_camera
+    return {
+        "pose": {"rotation": pose[:3, :3].tolist(), "translation": pose[:3, 3].tolist()},
+        "reprojection_error": one.error,
+    }

@@ -1,0 +1,91 @@
+"""What decogs-calibrate says of focal lengths of few neighbours, and the truth: ``few_cameras.py RIG ...``.
+
+A row for each subset: how many are placed, what their focal lengths may be off by as it says, and what they are off by.
+``--centre-off`` moves the pictures' features, as of lenses with their axis off the middle; ``--k1`` bends them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from table import deviations
+
+from decogs.decoder.lens import distort_pixels, with_k1
+from decogs.encoder.calibration.by_motion import judged
+from decogs.encoder.calibration.features import Features, features_of, matched, sift_extractor
+from decogs.encoder.calibration.footage import Footage, instants_of, pictures_at
+from decogs.encoder.calibration.held_out import split
+from decogs.encoder.calibration.structure import Matched, map_cameras, require_pycolmap
+from decogs.formats.cameras import Camera, as_pinhole, camera_centre
+from decogs.formats.rigs import open_rig
+
+
+def subsets(cameras: list[Camera], sizes: list[int], count: int) -> Iterator[tuple[int, list[int]]]:
+    """A seed and some cameras that stand next to each other, drawn at random."""
+    centres = np.array([camera_centre(camera) for camera in cameras])
+    draw, seen = np.random.default_rng(1), set()
+    for size in sizes:
+        for seed in range(count):
+            distances = np.linalg.norm(centres - centres[draw.integers(len(cameras))], axis=1)
+            chosen = sorted(np.argsort(distances, kind="stable")[:size].tolist())
+            if tuple(chosen) not in seen:
+                yield seed, chosen
+            seen.add(tuple(chosen))
+
+
+def changed(features: Features, camera: Camera, k1: float, off: float) -> Features:
+    """The features as a lens would show them that bends, or has its axis off the middle by so many widths."""
+    pixels = distort_pixels(with_k1(as_pinhole(camera), k1), features.pixels) if k1 else features.pixels
+    return replace(features, pixels=pixels + off * camera.width * np.array([1, -0.75]))
+
+
+def main() -> None:
+    """Prints the rows."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rigs", nargs="+", type=Path)
+    parser.add_argument("--frames", type=int, default=3)
+    parser.add_argument("--cameras", default="3,4,5,6,8")
+    parser.add_argument("--subsets", type=int, default=3, help="of each size")
+    parser.add_argument("--k1", type=float, default=0)
+    parser.add_argument("--centre-off", type=float, default=0)
+    parser.add_argument("--shared", action="store_true")
+    options = parser.parse_args()
+    require_pycolmap()
+    for path in options.rigs:
+        rig, extractor = open_rig(path), sift_extractor()
+        footage = [Footage(camera.name, source) for camera, source in zip(rig.cameras, rig.sources, strict=True)]
+        instants = instants_of(footage, options.frames)
+        found = [features_of(list(pictures_at(one, instants)), extractor) for one in footage]
+        pairs = {(a, b): matched(found[a], found[b]) for a, b in combinations(range(len(found)), 2)}
+        bent = [changed(*one, options.k1, options.centre_off) for one in zip(found, rig.cameras, strict=True)]
+        for seed, chosen in subsets(
+            list(rig.cameras), [int(size) for size in options.cameras.split(",")], options.subsets
+        ):
+            few, features = [footage[number] for number in chosen], [bent[number] for number in chosen]
+            links = {(a, b): pairs[chosen[a], chosen[b]] for a, b in combinations(range(len(chosen)), 2)}
+            start = Matched(
+                [one.name for one in few], [one.size for one in few], features, split(features, links), options.shared
+            )
+            mapped = map_cameras(start, seed, lambda: None)
+            calibration = judged(mapped, few)
+            head = f"{path.name} | {len(chosen)} from {chosen[0]} | {len(calibration.placed)}"
+            if mapped is None or len(calibration.placed) < 3:
+                print(f"| {head} | refused | | | |", flush=True)
+                continue
+            cameras = [one.camera for one in calibration.placed]
+            given = [rig.cameras[chosen[[one.name for one in few].index(camera.name)]] for camera in cameras]
+            said = 100 * np.array([mapped.focal_errors[start.names.index(camera.name)] for camera in cameras])
+            degrees, centres, focal = deviations(cameras, given)
+            silent = "  <- in silence" if ((focal > 2) & (said < 2)).any() else ""
+            word = "in doubt" if calibration.doubts else "accepted"
+            truth = f"{np.median(focal):.1f}, {focal.max():.1f} % | {degrees.max():.2f} degrees, {centres.max():.1f} %"
+            print(f"| {head} | {word} | {np.median(said):.1f}, {said.max():.1f} % | {truth} |{silent}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
