@@ -122,7 +122,7 @@ player-check: ## types and rules of the player, where Node is there; gets the pl
 	else cd player && npm run --silent check; fi
 
 # Skipped, saying so, where Node, the player's packages or Chromium are missing. DECOGS_CHROMIUM names one that lies elsewhere.
-test-browser: $(READY) ## the player in a Chromium without a window: pictures against decogs-decode, seeking, growing files, controls
+test-browser: $(READY) ## the player in Chromium and Firefox without a window: pictures against decogs-decode, seeking, slow networks, controls
 	$(BIN)/pytest -m browser tests/player
 
 slow: $(READY) ## longer twins of tests that are in `make test`, and those that need larger rigs (CONTRIBUTING.md)

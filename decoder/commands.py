@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -390,6 +391,7 @@ def _write_site(options: argparse.Namespace) -> None:
             whole_file(options.stream), options.output, overwrite=options.overwrite, on_megabytes=on_megabytes
         )
     print_text(f"{printable(options.output)}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
+    print_text(f"to look at it here: python3 -m http.server -d {shlex.quote(printable(options.output))}")
 
 
 def _add_frames(parser: argparse._ActionsContainer) -> None:

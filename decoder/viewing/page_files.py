@@ -14,17 +14,23 @@ from decogs.formats.errors import UsageError
 
 PAGE = Path(__file__).parent / "page"
 INDEX = "index.html"
+POSTER = "poster.jpg"
 
 MEDIA_TYPES = {
     ".html": "text/html; charset=utf-8",
+    ".jpg": "image/jpeg",
     ".js": "text/javascript; charset=utf-8",
     ".txt": "text/plain; charset=utf-8",
     ".wasm": "application/wasm",
 }
 OTHER_MEDIA = "application/octet-stream"
 
+_HEAD = "<title>decogs</title>"
 _PLACE = 'data-src="scene.dgs"'
 """In the built index.html, where the stream's address goes."""
+
+_PREVIEW = f'\n<meta property="og:type" content="video.other">\n<meta property="og:image" content="./{POSTER}">'
+"""What links to the page show."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +46,13 @@ class PageFile:
         return MEDIA_TYPES.get(Path(self.name).suffix, OTHER_MEDIA)
 
 
-def page_files(stream: str, *, follow: bool = False, recordings: str | None = None) -> list[PageFile]:
+def page_files(
+    stream: str, *, follow: bool = False, recordings: str | None = None, poster: bytes | None = None
+) -> list[PageFile]:
     """The page that plays the stream of this file name beside it; index.html is last.
 
     ``follow``: a stream that still grows. ``recordings``: where the pictures of its rig lie, a template.
+    ``poster``: a JPEG that is shown until the first picture is there, and in links to the page.
     Raises UsageError where the page was not built, or has a file of that name.
     """
     try:
@@ -51,10 +60,16 @@ def page_files(stream: str, *, follow: bool = False, recordings: str | None = No
         index = found.pop(INDEX).decode("utf-8")
     except (OSError, KeyError):
         raise UsageError(f"{PAGE}: the built player is missing; install decogs anew, or run make player") from None
+    if poster is not None:
+        found[POSTER] = poster
     if stream in (*found, INDEX):
         raise UsageError(f"{stream}: the player's page has a file of that name; rename the stream")
     source = f'data-src="{escape(address_of(stream))}"' + (" follow" if follow else "")
     source += "" if recordings is None else f' recordings="{escape(recordings)}"'
+    if poster is not None:
+        source += f' poster="./{POSTER}"'
+        title = escape(stream.encode("utf-8", "replace").decode())
+        index = index.replace(_HEAD, f'{_HEAD}\n<meta property="og:title" content="{title}">{_PREVIEW}')
     index = index.replace(_PLACE, source)
     return [*(PageFile(name, data) for name, data in found.items()), PageFile(INDEX, index.encode("utf-8"))]
 

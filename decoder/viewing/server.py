@@ -9,12 +9,14 @@ A stream that grows is opened anew for each request, under the name that it has 
 
 from __future__ import annotations
 
+import gzip
 import os
 import re
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from email.utils import formatdate
+from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -134,6 +136,11 @@ class _Server(ThreadingHTTPServer):
         """A browser that goes away in the middle of an answer is no error."""
 
 
+@cache
+def _compressed(data: bytes) -> bytes:
+    return gzip.compress(data, mtime=0)
+
+
 class _Handler(BaseHTTPRequestHandler):
     server: _Server
     protocol_version = "HTTP/1.1"
@@ -196,14 +203,20 @@ class _Handler(BaseHTTPRequestHandler):
         return len(hosts) == 1 and _OWN_NAME.fullmatch(hosts[0]) is not None
 
     def _send_page(self, file: PageFile) -> None:
+        # The way may be a narrow one: a forwarded port.
+        packed = "gzip" in self.headers.get("Accept-Encoding", "")
+        data = _compressed(file.data) if packed else file.data
         self.send_response(HTTPStatus.OK)
-        self._common(file.media_type, len(file.data))
+        self._common(file.media_type, len(data))
         self.send_header("Cache-Control", "no-cache")
+        self.send_header("Vary", "Accept-Encoding")
+        if packed:
+            self.send_header("Content-Encoding", "gzip")
         if file.name == INDEX:
             self.send_header("Content-Security-Policy", self.server.policy)
         self.end_headers()
         if self.command != "HEAD":
-            self.wfile.write(file.data)
+            self.wfile.write(data)
 
     def _send_stream(self) -> None:
         try:

@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from decogs.formats.callbacks import OnProgress
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import staged_files
 
+from ..picture_output import to_8bit
+from ..stream import open_stream
+from ..views import render_view
 from .notebook import check_header
-from .page_files import INDEX, page_files
+from .page_files import INDEX, POSTER, page_files
+from .recorded_pictures import jpeg
 
 _MEGABYTE = 1_000_000
 
@@ -33,7 +37,7 @@ def write_site(
     overwrite: bool = False,
     on_megabytes: OnProgress | None = None,
 ) -> SiteReport:
-    """Writes the page and a copy of the stream into ``folder``, which appears when it is whole.
+    """Writes the page, its poster and a copy of the stream into ``folder``, which appears when it is whole.
 
     An existing folder is written into when it is empty, or when this made it and nothing else was put there; any other
     one with ``overwrite``, where files of other names stay. Raises UsageError for what cannot be written, or is read,
@@ -41,13 +45,33 @@ def write_site(
     """
     source, target = Path(stream), Path(folder)
     check_header(source, follow=False)
-    files = page_files(source.name)
-    _check_folder(target, source, {file.name for file in files} | {source.name}, overwrite)
+    poster = _first_picture(source)
+    files = page_files(source.name, poster=poster)
+    # One that was written before may have had a poster.
+    _check_folder(target, source, {file.name for file in files} | {source.name, POSTER}, overwrite)
     with source.open("rb") as opened, staged_files(target) as staging:
         copied = _copy(opened, staging / source.name, on_megabytes)
         for file in files:
             (staging / file.name).write_bytes(file.data)
     return SiteReport(target, len(files) + 1, copied + sum(len(file.data) for file in files))
+
+
+def _first_picture(stream: Path) -> bytes | None:
+    """The picture that the page begins with, as JPEG: what shows before the player, and in links to the page.
+
+    None of a subject, which JPEG cannot leave out of its background, and of a stream whose first frame is damaged.
+    """
+    with open_stream(stream, on_damage=lambda damage: None) as opened:
+        header = opened.header
+        if header.subject:
+            return None
+        seen = [camera.name for camera in header.cameras if camera.name not in header.held_out]
+        try:
+            frame = next(opened.frames(0, 1))
+        except (StreamError, StopIteration):
+            return None
+        view = seen[0] if seen else header.cameras[0].name
+        return jpeg(to_8bit(render_view(header, frame.splats, view, undistorted=True).image))
 
 
 def _check_folder(folder: Path, source: Path, names: set[str], overwrite: bool) -> None:

@@ -5,7 +5,7 @@
  * worker answers with what to upload and in which order to draw. Messages are answered in their order, so that an order
  * always belongs to the frame sent last.
  */
-import type { PinholeCamera } from "./geometry/poses";
+import type { PinholeCamera } from "./geometry/camera";
 import type { CameraCorrection, FrameKind, StreamHeader } from "./scene";
 
 /** Depth of a point along the view: x, y, z weights and an offset, the last row of world-to-camera. */
@@ -84,7 +84,7 @@ export interface SceneUpdate {
 /** What a byte of heat says: 255 changed in this frame; 254 down to 2 so many frames ago; 1 in this segment; 0 never. */
 export const HEAT = { now: 255, oldest: 2, earlier: 1, still: 0 } as const;
 
-/** Rows in the order to draw them, nearest first. */
+/** Rows in the order to draw them, nearest first, as long as the lines of a texture that hold them. */
 export interface DrawOrder {
   readonly order: Uint32Array;
   readonly count: number;
@@ -126,6 +126,12 @@ export type FromWorker =
       readonly psnr: readonly (readonly [number, number])[];
       /** What is wrong with the stream as a whole. */
       readonly notices: readonly string[];
+      /** Why nothing comes, while that is tried again. */
+      readonly trouble: string | null;
+      /** Frames whose bytes are there. */
+      readonly buffered: readonly (readonly [number, number])[];
+      /** How much of what leads to the frame that is waited for has come, from 0 to 1; null when none is. */
+      readonly share: number | null;
     }
   | {
       readonly type: "frame";

@@ -151,6 +151,12 @@ export interface SceneStream {
   readonly metrics: ReadonlyMap<number, FrameMetrics>;
   /** Bytes read from the source so far. */
   readonly bytesRead: number;
+  /** Frames whose bytes are there, from one up to, not including, another. */
+  readonly buffered: readonly (readonly [number, number])[];
+  /** What of the bytes that lead to a frame from its keyframe on is there, from 0 to 1. */
+  share(frame: number): number;
+  /** Why nothing comes, while that is tried again; null when nothing is wrong. */
+  readonly trouble: string | null;
   /** What is wrong with the stream as a whole, each one sentence: damage that costs no frame, an end that is cut off. */
   readonly notices: readonly string[];
   /** The scene at a frame. Going one frame on costs one packet; going elsewhere reads and decodes from its keyframe. */

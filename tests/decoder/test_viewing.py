@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gzip
 import http.client
 import io
 import os
@@ -21,12 +22,13 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder import view
+from decogs.decoder import open_stream, view
 from decogs.decoder.commands import view_main
 from decogs.decoder.viewing import notebook, page_files, piped
 from decogs.decoder.viewing.byte_ranges import NoSuchBytes, asked_range
 from decogs.decoder.viewing.recorded_pictures import RecordedPictures
 from decogs.decoder.viewing.server import StreamServer, serve_stream
+from decogs.decoder.views import render_view
 from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig, read_frames
 
@@ -149,6 +151,18 @@ def test_the_page_and_its_types(served: StreamServer, small_stream: Any) -> None
             assert ask(served.url, path.name).body == path.read_bytes()
     assert ask(served.url, "decogs-player.js").headers["Content-Type"].startswith("text/javascript")
     assert ask(served.url, "decogs-exact.wasm").headers["Content-Type"] == "application/wasm"
+
+
+def test_the_page_comes_compressed_to_who_takes_that_and_the_stream_never(
+    served: StreamServer, small_stream: Any
+) -> None:
+    worker = ask(served.url, "decogs-worker.js", Accept_Encoding="gzip, br")
+    assert worker.headers["Content-Encoding"] == "gzip"
+    assert len(worker.body) == int(worker.headers["Content-Length"]) < 30_000
+    assert gzip.decompress(worker.body) == (page_files.PAGE / "decogs-worker.js").read_bytes()
+    stream = ask(served.url, small_stream.path.name, Accept_Encoding="gzip")
+    assert stream.headers["Content-Encoding"] is None
+    assert stream.body == small_stream.path.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -387,15 +401,31 @@ def test_a_notebook_shows_the_page_inline(small_stream: Any) -> None:
 def test_a_site_holds_the_page_and_the_stream(small_stream: Any, tmp_path: Path, capsys: Any) -> None:
     site = tmp_path / "deep" / "site"
     assert view_main([str(small_stream.path), "-o", str(site)]) == 0
-    names = {path.name for path in page_files.PAGE.iterdir()} | {small_stream.path.name}
+    names = {path.name for path in page_files.PAGE.iterdir()} | {small_stream.path.name, "poster.jpg"}
     assert {path.name for path in site.iterdir()} == names
-    assert f"{len(names)} files" in capsys.readouterr().out
+    assert 'poster="./poster.jpg"' in (site / "index.html").read_text()
+    assert '<meta property="og:image" content="./poster.jpg">' in (site / "index.html").read_text()
+    told = capsys.readouterr().out
+    assert f"{len(names)} files" in told
+    assert f"python3 -m http.server -d {site}" in told
     assert (site / small_stream.path.name).read_bytes() == small_stream.path.read_bytes()
     assert f'data-src="./{small_stream.path.name}"' in (site / "index.html").read_text()
     assert site.stat().st_mode & 0o055 == 0o055
-    (site / "index.html").write_text("<decogs-player>old")
+    (site / "index.html").write_text("<decogs-player>outdated")
     assert view_main([str(small_stream.path), "-o", str(site)]) == 0
-    assert "old" not in (site / "index.html").read_text()
+    assert "outdated" not in (site / "index.html").read_text()
+
+
+def test_the_poster_is_the_first_frame_of_the_first_camera(small_stream: Any, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    assert view_main([str(small_stream.path), "-o", str(site)]) == 0
+    with open_stream(small_stream.path) as stream:
+        name = next(camera.name for camera in stream.header.cameras if camera.name not in stream.header.held_out)
+        frame = next(stream.frames(0, 1))
+        expected = render_view(stream.header, frame.splats, name, undistorted=True).image
+    found = cv2.imread(str(site / "poster.jpg"))[..., ::-1].astype(float) / 255
+    assert found.shape == expected.shape
+    assert np.abs(found - np.clip(expected, 0, 1)).mean() < 0.03  # JPEG at the quality of recordings
 
 
 def test_a_folder_of_someone_elses_is_left_alone(small_stream: Any, tmp_path: Path, capsys: Any) -> None:

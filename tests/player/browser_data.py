@@ -40,6 +40,8 @@ POSE = {
 }
 SEGMENT = 60
 LONG = 300
+WIDE = 150
+"""Frames of a stream of some Mbit/s, for slow links."""
 
 
 def scene(count: int, degree: int, seed: int) -> Splats:
@@ -210,6 +212,7 @@ def main() -> None:
         pictures.take(name, 1, "barrel")
     write_stream(folder / "subject.dgs", 300, 1, 2, subject=True)
     pictures.take("subject", 1, "cam00")
+    write_stream(folder / "wide.dgs", 6000, 1, WIDE)
     ends = write_stream(folder / "long.dgs", 800, 0, LONG)
     for frame in (0, 7, 61, 130, 299):
         pictures.take("long", frame, "cam00")

@@ -1,4 +1,4 @@
-"""The player finds the same way up as the exports: the cases in player/tests/controls/up_cases.json hold for both."""
+"""The player finds the same way up as the exports: the cases in player/tests/camera/up_cases.json hold for both."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.up_direction import up_of
 from node import PLAYER, run_player_tests
 
-CASES = json.loads((PLAYER / "tests/controls/up_cases.json").read_text())
+CASES = json.loads((PLAYER / "tests/camera/up_cases.json").read_text())
 
 
 def camera(rows: list[list[float]]) -> Camera:

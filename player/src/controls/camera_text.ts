@@ -1,12 +1,13 @@
 /** A camera as text: a pose file for `decogs-decode --camera` (docs/free-cameras.md), and the end of a link. */
-import type { Lens, Pose, PinholeCamera } from "../geometry/poses";
+import type { Lens, PinholeCamera } from "../geometry/camera";
+import type { Pose } from "../geometry/poses";
 import { cross, dot, length, unit, type Vector } from "../geometry/vectors";
 
 export function poseFile(camera: PinholeCamera): string {
-  const { width, height, fx, fy, cx, cy } = camera;
+  const { width, height, fx, fy, cx, cy, near } = camera;
   const rows = [...camera.worldToCamera, [0, 0, 0, 1]];
   const matrix = rows.map((row) => `    [${row.join(", ")}]`).join(",\n");
-  const lens = JSON.stringify({ width, height, fx, fy, cx, cy }).slice(1, -1).replace(/:/g, ": ").replace(/,/g, ", ");
+  const lens = JSON.stringify({ width, height, fx, fy, cx, cy, near }).slice(1, -1).replace(/:/g, ": ").replace(/,/g, ", ");
   return `{\n  ${lens},\n  "world_to_camera": [\n${matrix}\n  ]\n}\n`;
 }
 

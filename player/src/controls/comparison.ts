@@ -2,7 +2,7 @@
  * What a rig camera recorded, over its view: a line divides the two, and one drags it. The server that has the rig tells
  * where the pictures lie by the attribute `recordings`, a template such as "./recorded/{camera}/{frame}.jpg".
  */
-import type { DecogsPlayer } from "../element/player";
+import type { PlayerApi } from "../player_api";
 
 const STEP = 0.05;
 
@@ -18,7 +18,7 @@ export class Comparison {
   private share = 0.5;
 
   constructor(
-    private readonly player: DecogsPlayer,
+    private readonly player: PlayerApi,
     private readonly holder: HTMLElement,
     private readonly line: HTMLElement,
   ) {

@@ -1,5 +1,5 @@
 /** What keys do. The help panel is made from the same table, so that it cannot say anything else. */
-import type { DecogsPlayer } from "../element/player";
+import type { PlayerApi } from "../player_api";
 import type { Vector } from "../geometry/vectors";
 import type { Panels } from "./panels";
 
@@ -7,7 +7,8 @@ interface KeyAction {
   readonly keys: readonly string[];
   readonly shown: string;
   readonly text: string;
-  readonly act: (player: DecogsPlayer, panels: Panels, event: KeyboardEvent) => void;
+  /** false: there was nothing to do, and the key is for others. */
+  readonly act: (player: PlayerApi, panels: Panels, event: KeyboardEvent) => unknown;
 }
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -18,16 +19,15 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     shown: "Space",
     text: "play or pause",
     act: (player) => {
-      if (player.paused) void player.play();
-      else player.pause();
+      playOrPause(player);
     },
   },
   {
-    keys: ["ArrowLeft", "ArrowRight"],
-    shown: "← →",
+    keys: ["ArrowLeft", "ArrowRight", ",", "."],
+    shown: "← → , .",
     text: "a frame back or on; with Shift to a keyframe",
     act: (player, _, { key, shiftKey }) => {
-      stepFrame(player, key === "ArrowLeft" ? -1 : 1, shiftKey);
+      stepFrame(player, key === "ArrowLeft" || key === "," ? -1 : 1, shiftKey);
     },
   },
   {
@@ -36,6 +36,14 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     text: "first or last frame",
     act: (player, _, { key }) => {
       player.currentFrame = key === "Home" ? 0 : player.frames.count - 1;
+    },
+  },
+  {
+    keys: Array.from("0123456789"),
+    shown: "0 to 9",
+    text: "to that tenth of the time",
+    act: (player, _, { key }) => {
+      player.currentTime = (player.duration * Number(key)) / 10;
     },
   },
   {
@@ -69,9 +77,9 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
   { keys: ["b"], shown: "B", text: "the recorded picture beside it, where it is known", act: (player) => { player.comparing = !player.comparing; } },
   { keys: ["i"], shown: "I", text: "figures", act: (_, panels) => { panels.toggleStatistics(); } },
   { keys: ["p"], shown: "P", text: "save the picture", act: (_, panels) => { void panels.savePicture(); } },
-  { keys: ["f"], shown: "F", text: "full screen", act: (_, panels) => { panels.toggleFullScreen(); } },
+  { keys: ["f"], shown: "F", text: "full screen", act: (_, panels) => { void panels.toggleFullScreen(); } },
   { keys: ["?", "h"], shown: "?", text: "this help", act: (_, panels) => { panels.toggleHelp(); } },
-  { keys: ["Escape"], shown: "Esc", text: "close", act: (_, panels) => { panels.closeAll(); } },
+  { keys: ["Escape"], shown: "Esc", text: "close", act: (_, panels) => panels.closeAll() || panels.leaveFullWindow() },
 ];
 
 /** Directions of flight by the key's place, so that they lie together on every keyboard. */
@@ -84,20 +92,25 @@ const FLIGHT: ReadonlyMap<string, Vector> = new Map<string, Vector>([
   ["KeyQ", [0, -1, 0]],
 ]);
 
-const held = new WeakMap<DecogsPlayer, Set<string>>();
+const held = new WeakMap<PlayerApi, Set<string>>();
 
 /** Does what a key asks for; whether it asked for anything. */
-export function looksInto(player: DecogsPlayer, panels: Panels, event: KeyboardEvent): boolean {
+export function looksInto(player: PlayerApi, panels: Panels, event: KeyboardEvent): boolean {
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   if (FLIGHT.has(event.code)) return fly(player, event);
-  if (event.type !== "keydown" || inField(event)) return false;
+  if (event.type !== "keydown" || (inField(event) && event.key !== "Escape")) return false;
   const action = KEY_ACTIONS.find(({ keys }) => keys.includes(event.key) || keys.includes(event.key.toLowerCase()));
   if (action === undefined) return false;
-  action.act(player, panels, event);
-  return true;
+  return action.act(player, panels, event) !== false;
 }
 
-function fly(player: DecogsPlayer, event: KeyboardEvent): boolean {
+/** What goes wrong is in the notice. */
+export function playOrPause(player: PlayerApi): void {
+  if (player.paused) player.play().catch(() => undefined);
+  else player.pause();
+}
+
+function fly(player: PlayerApi, event: KeyboardEvent): boolean {
   const keys = held.get(player) ?? new Set<string>();
   held.set(player, keys);
   if (event.type === "keydown" && !inField(event)) keys.add(event.code);
@@ -105,17 +118,16 @@ function fly(player: DecogsPlayer, event: KeyboardEvent): boolean {
   const sum: [number, number, number] = [0, 0, 0];
   const speed = event.shiftKey ? 3 : 1;
   for (const key of keys) for (const axis of [0, 1, 2] as const) sum[axis] += speed * FLIGHT.get(key)![axis];
-  if (player.stage !== null) player.stage.navigation.flight = sum;
-  player.cameraMoved();
+  player.fly(sum);
   return true;
 }
 
 /** Forgets keys whose release another window has seen. */
-export function forgetKeys(player: DecogsPlayer): void {
+export function forgetKeys(player: PlayerApi): void {
   held.delete(player);
 }
 
-function stepFrame(player: DecogsPlayer, direction: -1 | 1, toKeyframe: boolean): void {
+function stepFrame(player: PlayerApi, direction: -1 | 1, toKeyframe: boolean): void {
   player.pause();
   const at = player.currentFrame;
   player.currentFrame = toKeyframe ? player.frames.keyframe(at, direction) : at + direction;

@@ -20,7 +20,7 @@ function helpRows(): string {
 export function markup(): string {
   return `
 <div class="recording" hidden><div class="divider" role="slider" tabindex="0" aria-label="Recorded picture against the scene" aria-valuemin="0" aria-valuemax="100"></div></div>
-<div class="veil" part="loading" hidden><span class="spinner"></span></div>
+<div class="veil" part="loading" hidden><span class="spinner"></span><span class="percent"></span></div>
 <button class="start" type="button" aria-label="Play" hidden>${icon("play")}</button>
 <dl class="figures panel" aria-label="Figures" hidden></dl>
 <div class="legend panel" hidden></div>
@@ -41,6 +41,9 @@ export function markup(): string {
   <button type="button" name="picture">Save picture</button>
   <button type="button" name="pose">Copy camera as pose.json</button>
   <button type="button" name="link">Copy link to this view</button>
+  <button type="button" name="embed">Copy code to embed it</button>
+  <button type="button" name="vr" hidden>Enter VR</button>
+  <button type="button" name="ar" hidden>Enter AR</button>
   <button type="button" name="help">Help</button>
 </div>
 <div class="bar panel" part="controls">

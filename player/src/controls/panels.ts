@@ -1,10 +1,11 @@
 /** The controls over the picture: the bar, its menu, help, figures and notices. They act through the player alone. */
-import type { Overlay } from "../draw/renderer";
-import type { DecogsPlayer } from "../element/player";
+import type { Overlay, PlayerApi } from "../player_api";
+import { adopt } from "../adopted_style";
 import { cameraToLink, poseFile } from "./camera_text";
 import { cameraNote } from "./camera_note";
 import { Comparison } from "./comparison";
 import { icon } from "./icons";
+import { playOrPause } from "./keys";
 import { markup } from "./markup";
 import style from "./style.css";
 import { Statistics } from "./statistics";
@@ -37,18 +38,22 @@ export class Panels {
   private noticeTimer = 0;
   private idleTimer = 0;
   private loadingTimer = 0;
+  private shownBusy = false;
+  private invited = false;
+  /** What had the focus before a panel was opened. */
+  private opener: HTMLElement;
   private legendOf: Overlay = "none";
 
   constructor(
-    private readonly player: DecogsPlayer,
+    private readonly player: PlayerApi,
     private readonly root: ShadowRoot,
   ) {
     const holder = document.createElement("div");
     holder.className = "controls";
     holder.innerHTML = markup();
-    const sheet = document.createElement("style");
-    sheet.textContent = style;
-    root.append(sheet, holder);
+    adopt(root, style);
+    root.append(holder);
+    this.opener = player;
     this.timeline = new Timeline(player, this.part(".timeline"));
     this.statistics = new Statistics(player, this.part(".figures"));
     this.comparison = new Comparison(player, this.part(".recording"), this.part(".divider"));
@@ -71,7 +76,11 @@ export class Panels {
     if (this.player.comparing) this.comparison.refresh();
   }
 
-  loading(on: boolean): void {
+  /** `share`: how much of what is waited for is there, from 0 to 1; null: nobody knows. */
+  busy(on: boolean, share: number | null): void {
+    this.part(".percent").textContent = share === null ? "" : `${Math.floor(100 * share)} %`;
+    if (on === this.shownBusy) return;
+    this.shownBusy = on;
     clearTimeout(this.loadingTimer);
     const show = (): void => {
       this.part(".veil").hidden = !on;
@@ -94,6 +103,18 @@ export class Panels {
     if (note !== null && this.warning === null) this.say(note, false);
   }
 
+  /** Tells people once that the picture is theirs to turn. */
+  invite(): void {
+    if (this.invited || !this.player.controls || this.player.info === null) return;
+    this.invited = true;
+    this.hint(this.player.getAttribute("gestures") === "cooperative" ? "Use two fingers, or drag, to look around" : "Drag to look around");
+  }
+
+  /** Says something for a moment, unless something is wrong. */
+  hint(text: string): void {
+    if (this.warning === null) this.say(text, false);
+  }
+
   toggleHelp(): void {
     this.toggle(".help");
   }
@@ -105,14 +126,36 @@ export class Panels {
     this.refresh();
   }
 
-  closeAll(): void {
-    for (const panel of this.closers) panel.hidden = true;
+  /** Closes menu and help, and gives the focus back to what opened them; whether anything was open. */
+  closeAll(): boolean {
+    const open = this.closers.filter((panel) => !panel.hidden);
+    const focused = open.some((panel) => panel.contains(this.root.activeElement));
+    for (const panel of open) panel.hidden = true;
+    if (focused) this.opener.focus();
     this.refresh();
+    return open.length > 0;
   }
 
-  toggleFullScreen(): void {
-    if (document.fullscreenElement === null) void this.player.requestFullscreen();
-    else void document.exitFullscreen();
+  /** Phones that give the whole screen to <video> only let the player fill the window. */
+  async toggleFullScreen(): Promise<void> {
+    const { classList } = this.root.host;
+    if (classList.contains("fills")) classList.remove("fills");
+    else if (document.fullscreenElement !== null) await document.exitFullscreen();
+    else {
+      try {
+        await this.player.requestFullscreen();
+      } catch {
+        classList.add("fills");
+      }
+    }
+  }
+
+  /** Out of what fills the window; whether it did. */
+  leaveFullWindow(): boolean {
+    const { classList } = this.root.host;
+    const fills = classList.contains("fills");
+    classList.remove("fills");
+    return fills;
   }
 
   async savePicture(): Promise<void> {
@@ -131,12 +174,11 @@ export class Panels {
 
   private listen(): void {
     const { player } = this;
-    const playOrPause = (): void => {
-      if (player.paused) void player.play();
-      else player.pause();
-    };
-    this.part(".play").addEventListener("click", playOrPause);
-    this.part(".start").addEventListener("click", playOrPause);
+    for (const button of [".play", ".start"]) {
+      this.part(button).addEventListener("click", () => {
+        playOrPause(player);
+      });
+    }
     this.part(".shut").addEventListener("click", () => {
       this.toggleHelp();
     });
@@ -148,14 +190,18 @@ export class Panels {
         player.nextCamera(1);
       },
       menu: () => {
+        void this.offerXr();
         this.toggle(".menu");
       },
       full: () => {
-        this.toggleFullScreen();
+        void this.toggleFullScreen();
       },
       picture: () => void this.savePicture(),
       pose: () => void this.copyPose(),
       link: () => void this.copyLink(),
+      embed: () => void this.copyEmbed(),
+      vr: () => void this.enterXr("immersive-vr"),
+      ar: () => void this.enterXr("immersive-ar"),
       help: () => {
         this.toggleHelp();
       },
@@ -190,6 +236,9 @@ export class Panels {
     });
     this.field("figures").addEventListener("change", () => {
       this.toggleStatistics();
+    });
+    player.addEventListener("loadeddata", () => {
+      this.invite();
     });
     for (const name of ["pointermove", "pointerdown", "keydown", "focusin"] as const) {
       player.addEventListener(name, () => {
@@ -262,13 +311,37 @@ export class Panels {
     if (camera !== null) await this.copy(poseFile(camera), "Copied: save it as pose.json for decogs-decode --camera");
   }
 
-  private async copyLink(): Promise<void> {
-    const { stage, currentFrame } = this.player;
-    if (stage === null) return;
-    const { pose, lens } = stage.navigation;
+  /** The address of this page at this view and frame. */
+  private address(): string {
+    const { view, currentFrame } = this.player;
     const address = new URL(location.href);
-    address.hash = `camera=${cameraToLink(pose, lens)}&frame=${currentFrame}`;
-    await this.copy(address.href, "Copied: a link to this view and frame");
+    if (view !== null) address.hash = `camera=${cameraToLink(view.pose, view.lens)}&frame=${currentFrame}`;
+    return address.href;
+  }
+
+  private async copyLink(): Promise<void> {
+    await this.copy(this.address(), "Copied: a link to this view and frame");
+  }
+
+  private async enterXr(mode: "immersive-vr" | "immersive-ar"): Promise<void> {
+    try {
+      await this.player.enterXr(mode);
+    } catch (error) {
+      this.say(error instanceof Error ? error.message : String(error), false);
+    }
+  }
+
+  /** Shows what can be entered; a headset may be plugged in later. */
+  private async offerXr(): Promise<void> {
+    for (const [name, mode] of [["vr", "immersive-vr"], ["ar", "immersive-ar"]] as const) {
+      this.field(name).hidden = !((await navigator.xr?.isSessionSupported(mode).catch(() => false)) ?? false);
+    }
+  }
+
+  private async copyEmbed(): Promise<void> {
+    const quoted = this.address().replace(/&/g, "&amp;").replace(/"/g, "&quot;");
+    const frame = `<iframe src="${quoted}" title="Free-viewpoint video" style="border: 0; width: 100%; aspect-ratio: 16 / 9" allow="fullscreen; clipboard-write; xr-spatial-tracking"></iframe>`;
+    await this.copy(frame, "Copied: code that shows this page in yours");
   }
 
   private async copy(text: string, done: string): Promise<void> {
@@ -297,10 +370,11 @@ export class Panels {
   private toggle(selector: string): void {
     const panel = this.part(selector);
     const hide = !panel.hidden;
+    const { activeElement } = this.root;
+    if (!hide) this.opener = activeElement instanceof HTMLElement ? activeElement : this.player;
     this.closeAll();
     panel.hidden = hide;
     if (!hide) panel.querySelector<HTMLElement>("button, select")?.focus();
-    else this.player.focus();
     this.refresh();
   }
 

@@ -1,5 +1,5 @@
 /** The panel of figures: what is drawn, what it took, what the stream's packet said. */
-import type { DecogsPlayer } from "../element/player";
+import type { PlayerApi } from "../player_api";
 import { bytesText, countText } from "./time_text";
 
 const REFRESH_MS = 200;
@@ -8,7 +8,7 @@ export class Statistics {
   private shownAt = 0;
 
   constructor(
-    private readonly player: DecogsPlayer,
+    private readonly player: PlayerApi,
     private readonly panel: HTMLElement,
   ) {}
 
@@ -31,16 +31,15 @@ export class Statistics {
   }
 
   private rows(): [string, string][] {
-    const { info, stage, drawn, bytesRead, fps, frames } = this.player;
-    if (info === null || stage === null) return [];
-    const { times, canvas } = stage.renderer;
+    const { info, figures, fps, frames } = this.player;
+    if (info === null || figures === null) return [];
     const ms = (value: number): string => `${value < 10 ? value.toFixed(1) : value.toFixed(0)} ms`;
     const psnr = frames.psnr.get(info.frame);
     const rows: [string, string][] = [
-      ["Pictures", `${stage.drawnAt.length} /s`],
-      ["Size", `${canvas.width} × ${canvas.height}`],
+      ["Pictures", `${figures.pictures} /s`],
+      ["Size", `${figures.width} × ${figures.height}`],
       ["Gaussians", countText(info.count)],
-      ["drawn", countText(drawn.count)],
+      ["drawn", countText(figures.drawn)],
       ["Frame", `${info.frame}, ${info.kind ?? "damaged"}`],
       ["packet", bytesText(info.bytes)],
       ["changed", countText(info.changed)],
@@ -48,13 +47,13 @@ export class Statistics {
     ];
     if (psnr !== undefined) rows.push(["PSNR", `${psnr.toFixed(2)} dB`]);
     rows.push(
-      ["Read", bytesText(bytesRead)],
+      ["Read", bytesText(figures.bytesRead)],
       ["Stream", rateText(frames.bytes, frames.count, fps)],
       ["Decode", ms(info.decodeMs)],
       ["pack", ms(info.packMs)],
-      ["sort", ms(drawn.sortMs)],
-      ["upload", ms(times.uploadMs)],
-      ["draw", ms(times.drawMs)],
+      ["sort", ms(figures.sortMs)],
+      ["upload", ms(figures.uploadMs)],
+      ["draw", ms(figures.drawMs)],
     );
     return rows;
   }

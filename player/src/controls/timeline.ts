@@ -2,7 +2,7 @@
  * The timeline: a bar for every frame, as high as its packet is long (on a logarithmic scale), keyframes in colour: a
  * stream's life at a glance, and the slider to move in it. PSNR is a line over it where the stream tells it.
  */
-import type { DecogsPlayer } from "../element/player";
+import type { PlayerApi } from "../player_api";
 import { bytesText, timeText } from "./time_text";
 
 const SMALLEST_PACKET = 24;
@@ -16,7 +16,7 @@ export class Timeline {
   private hovered = -1;
 
   constructor(
-    private readonly player: DecogsPlayer,
+    private readonly player: PlayerApi,
     private readonly track: HTMLElement,
   ) {
     this.tip.className = "tip";
@@ -44,7 +44,7 @@ export class Timeline {
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [Math.round(track.clientWidth * ratio), Math.round(track.clientHeight * ratio)];
     const colours = getComputedStyle(track);
-    const state = [count, frame, width, height, player.frames.psnr.size, colours.color].join();
+    const state = [count, frame, width, height, player.frames.psnr.size, player.bufferedFrames, colours.color].join();
     if (state === this.drawnState || width === 0) return;
     this.drawnState = state;
     [canvas.width, canvas.height] = [width, height];
@@ -62,7 +62,7 @@ export class Timeline {
     ratio: number,
     colours: CSSStyleDeclaration,
   ): void {
-    const { frames, currentFrame } = this.player;
+    const { frames, currentFrame, bufferedFrames } = this.player;
     const { count } = frames;
     if (count === 0) return;
     const [ink, accent] = [colours.color, colours.getPropertyValue("--accent")];
@@ -76,6 +76,8 @@ export class Timeline {
     context.fillStyle = ink;
     context.globalAlpha = 0.18;
     context.fillRect(0, height - base, width, base);
+    context.globalAlpha = 0.3;
+    for (const [from, to] of bufferedFrames) context.fillRect((from / count) * width, height - base, ((to - from) / count) * width, base);
     context.globalAlpha = 0.6;
     context.fillRect(0, height - base, ((currentFrame + 0.5) / count) * width, base);
     for (let column = 0; column < columns; column++) {

@@ -2,7 +2,7 @@
  * Shows what the decoder's own kernel draws in the worker: exactly the picture of decogs-decode, slower than WebGL2, and
  * without it. Overlays are not drawn.
  */
-import type { PinholeCamera } from "../geometry/poses";
+import type { PinholeCamera } from "../geometry/camera";
 import type { ExactPicture } from "../messages";
 import type { DrawTimes, Renderer } from "./renderer";
 

@@ -1,6 +1,7 @@
 /** The last pass of a picture as a camera recorded it: what was accumulated, resampled through the lens, in its colours. */
-import type { PinholeCamera } from "../geometry/poses";
-import { NOWHERE, lensPlan, type LensPlan, type Recording } from "../geometry/recorded";
+import type { PinholeCamera } from "../geometry/camera";
+import type { Recording } from "../geometry/camera";
+import { NOWHERE, lensPlan, type LensPlan } from "../geometry/recorded";
 import type { Program } from "./program";
 import { RECORDED_FRAGMENT_SHADER } from "./recorded_shader";
 

@@ -5,7 +5,7 @@
  * waits for that picture (playcanvas/engine#8656: 74 ms against 2). Few rows go as a small texture of their own, and are
  * drawn from there to their places as points: changed rows lie anywhere, so that lines of a texture rarely stay the same.
  */
-import { TEXTURE_WIDTH, perLine, textureLines, type SceneUpdate, type TextureLayout } from "../messages";
+import { TEXTURE_WIDTH, perLine, textureLines, type DrawOrder, type SceneUpdate, type TextureLayout } from "../messages";
 import { linked, type Program } from "./program";
 import { PATCH_FRAGMENT_SHADER, PATCH_VERTEX_SHADER } from "./shaders";
 
@@ -21,6 +21,7 @@ export class SceneTextures {
   private readonly base: WordTexture;
   private readonly rest: WordTexture;
   private readonly heat: WebGLTexture;
+  private readonly rows: WebGLTexture;
   private readonly staged: WebGLTexture;
   private readonly places: WebGLTexture;
   private readonly framebuffer: WebGLFramebuffer;
@@ -32,7 +33,7 @@ export class SceneTextures {
   ) {
     this.base = { texture: this.texture(), texels: BASE_TEXELS, lines: 0 };
     this.rest = { texture: this.texture(), texels: layout.restTexels, lines: 0 };
-    [this.heat, this.staged, this.places] = [this.texture(), this.texture(), this.texture()];
+    [this.heat, this.rows, this.staged, this.places] = [this.texture(), this.texture(), this.texture(), this.texture()];
     this.framebuffer = gl.createFramebuffer();
     this.patch = linked(gl, PATCH_VERTEX_SHADER, PATCH_FRAGMENT_SHADER);
     gl.useProgram(this.patch.program);
@@ -55,10 +56,18 @@ export class SceneTextures {
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8UI, TEXTURE_WIDTH, lines, 0, gl.RED_INTEGER, gl.UNSIGNED_BYTE, update.heat);
   }
 
-  /** Binds the textures to units 0 to 2, in the order base, rest, heat. */
+  /** The rows in the order to draw them, which is not empty. */
+  order({ order, count }: DrawOrder): void {
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.rows);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, TEXTURE_WIDTH, textureLines(count, 1), 0, gl.RED_INTEGER, gl.UNSIGNED_INT, order);
+  }
+
+  /** Binds the textures to units 0 to 3, in the order base, rest, heat, order. */
   bind(): void {
     const { gl } = this;
-    for (const [unit, texture] of [this.base.texture, this.rest.texture, this.heat].entries()) {
+    for (const [unit, texture] of [this.base.texture, this.rest.texture, this.heat, this.rows].entries()) {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, texture);
     }
@@ -67,7 +76,7 @@ export class SceneTextures {
 
   dispose(): void {
     const { gl } = this;
-    for (const texture of [this.base.texture, this.rest.texture, this.heat, this.staged, this.places]) {
+    for (const texture of [this.base.texture, this.rest.texture, this.heat, this.rows, this.staged, this.places]) {
       gl.deleteTexture(texture);
     }
     gl.deleteFramebuffer(this.framebuffer);

@@ -24,6 +24,9 @@ vec3 harmonics(vec3 d, float sh[8 * REST_TEXELS]) {
 }
 `;
 
+/** Gaussians that one instance draws: one each would cost more than their pixels, in software above all. */
+export const BATCH = 128;
+
 /** Four corners of each Gaussian's parallelogram: in the coordinates (u, v) of its conic's Cholesky factor, a square. */
 export function splatVertexShader(shDegree: number, restTexels: number): string {
   return /* glsl */ `#version 300 es
@@ -34,13 +37,13 @@ precision highp int;
 precision highp usampler2D;
 const float BLUR = 0.3, CLOSEST = 0.5, HALF_LOG2E = 0.72134752044448170;
 const float LOG_SCALE_STEP = 80.0 / 65535.0;
-uniform usampler2D base, rest, heat;
+uniform usampler2D base, rest, heat, order;
+uniform int count;
 uniform mat3 rotation;
 uniform vec3 centre;
 uniform vec2 focal, principal, size;
 uniform float near;
 uniform int overlay;
-layout(location = 0) in uint row;
 out vec2 uv;
 flat out vec4 paint;
 flat out float cut;
@@ -76,7 +79,9 @@ void main() {
   uv = vec2(0.0);
   paint = vec4(0.0);
   cut = 0.0;
-  int index = int(row);
+  int place = gl_InstanceID * ${BATCH} + (gl_VertexID >> 2);
+  if (place >= count) return;
+  int index = int(texelFetch(order, ivec2(place & 2047, place >> 11), 0).r);
   ivec2 texel = ivec2((index & 1023) << 1, index >> 10);
   uvec4 low = texelFetch(base, texel, 0), high = texelFetch(base, texel + ivec2(1, 0), 0);
   vec3 offset = uintBitsToFloat(low.xyz) - centre;
@@ -157,9 +162,10 @@ export const FINISH_FRAGMENT_SHADER = /* glsl */ `#version 300 es
 precision highp float;
 uniform sampler2D accumulated;
 uniform vec4 background;
+uniform ivec2 corner;
 out vec4 result;
 void main() {
-  vec4 sum = texelFetch(accumulated, ivec2(gl_FragCoord.xy), 0);
+  vec4 sum = texelFetch(accumulated, ivec2(gl_FragCoord.xy) - corner, 0);
   vec4 seen = vec4(sum.rgb, 1.0 - sum.a) + sum.a * background;
   result = vec4(min(seen.rgb, seen.a), seen.a);
 }

@@ -1,17 +1,16 @@
-/** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background, if any, behind them. */
-import type { PinholeCamera } from "../geometry/poses";
+/** Draws with WebGL2: quads, nearest first, in batches that are an instance each, into half floats, and the background, if any, behind them. */
+import type { PinholeCamera } from "../geometry/camera";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
+import { OVERLAYS, type Overlay } from "../player_api";
 import type { StreamHeader } from "../scene";
 import { Accumulation } from "./accumulation";
 import { GpuClock } from "./gpu_clock";
 import { linked, type Program } from "./program";
-import type { DrawTimes, Overlay, Renderer } from "./renderer";
+import type { DrawTimes, Renderer, Target } from "./renderer";
 import { SceneTextures } from "./scene_textures";
 import { recordedPass } from "./recorded";
 import type { RecordedPass } from "./recorded_pass";
-import { FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
-
-const OVERLAYS: readonly Overlay[] = ["none", "changes", "motion"];
+import { BATCH, FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
 
 /** What lives on the GPU and is lost with its context. */
 interface Resources {
@@ -20,12 +19,23 @@ interface Resources {
   readonly textures: SceneTextures;
   readonly accumulation: Accumulation;
   readonly clock: GpuClock;
-  readonly rows: WebGLBuffer;
+  /** Corners of the quads of a batch. */
+  readonly corners: WebGLBuffer;
   /** Made when a recorded picture is asked for. */
   recorded: RecordedPass | null;
 }
 
+const NOTHING = [0, 0, 0, 0] as const;
+/** Names of drivers that draw on the processor: not every browser calls them slow. */
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+
+function nameOf(gl: WebGL2RenderingContext): string {
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  return String(gl.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
+}
+
 export class WebGlRenderer implements Renderer {
+  readonly inSoftware: boolean;
   readonly times: DrawTimes = { uploadMs: 0, drawMs: 0 };
   private readonly gl: WebGL2RenderingContext;
   private layout: TextureLayout | null = null;
@@ -38,11 +48,14 @@ export class WebGlRenderer implements Renderer {
   constructor(
     readonly canvas: HTMLCanvasElement,
     private readonly onRestored: () => void,
+    private readonly onLost: () => void,
   ) {
-    const options = { antialias: false, depth: false, stencil: false } as const;
-    const gl = canvas.getContext("webgl2", { ...options, powerPreference: "high-performance" });
+    const options: WebGLContextAttributes = { antialias: false, depth: false, stencil: false, powerPreference: "high-performance" };
+    const fast = canvas.getContext("webgl2", { ...options, failIfMajorPerformanceCaveat: true });
+    const gl = fast ?? canvas.getContext("webgl2", options);
     if (gl === null) throw new Error("this browser has no WebGL2");
     this.gl = gl;
+    this.inSoftware = fast === null || SOFTWARE.test(nameOf(gl));
     canvas.addEventListener("webglcontextlost", this.lost);
     canvas.addEventListener("webglcontextrestored", this.restored);
   }
@@ -54,7 +67,7 @@ export class WebGlRenderer implements Renderer {
   begin(layout: TextureLayout, { background, subject }: StreamHeader): void {
     this.release();
     this.layout = layout;
-    this.background = subject ? [0, 0, 0, 0] : [...background, 1];
+    this.background = subject ? NOTHING : [...background, 1];
     this.count = 0;
     if (!this.gl.isContextLost()) this.resources = this.made(layout);
   }
@@ -67,10 +80,8 @@ export class WebGlRenderer implements Renderer {
 
   order(draw: DrawOrder): void {
     if (this.resources === null) return;
-    const { gl } = this;
     this.count = draw.count;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.resources.rows);
-    gl.bufferData(gl.ARRAY_BUFFER, draw.order.subarray(0, draw.count), gl.STREAM_DRAW);
+    if (draw.count > 0) this.resources.textures.order(draw);
   }
 
   draw(camera: PinholeCamera, overlay: Overlay): void {
@@ -82,21 +93,45 @@ export class WebGlRenderer implements Renderer {
     const recording = recordedPass() === null ? null : camera.recording;
     if (recording) resources.recorded ??= new (recordedPass()!)(gl, (fragment) => linked(gl, SCREEN_VERTEX_SHADER, fragment));
     const drawn = recording ? resources.recorded!.seenBy(camera, recording) : camera;
-    resources.accumulation.begin(drawn.width, drawn.height);
-    gl.useProgram(resources.splats.program);
-    this.setCamera(resources.splats, drawn);
-    gl.uniform1i(resources.splats.uniform("overlay"), OVERLAYS.indexOf(overlay));
-    resources.textures.bind();
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
-    resources.accumulation.end();
+    this.accumulate(resources, drawn, overlay);
     gl.viewport(0, 0, width, height);
     if (recording) resources.recorded!.use(camera, recording, this.background);
-    else {
-      gl.useProgram(resources.finish.program);
-      gl.uniform4fv(resources.finish.uniform("background"), this.background);
-    }
+    else this.useFinish(resources, this.background, 0, 0);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     resources.clock.start((ms) => (this.times.drawMs = ms));
+  }
+
+  get context(): WebGL2RenderingContext {
+    return this.gl;
+  }
+
+  /** A pinhole's picture for a headset. */
+  drawInto(camera: PinholeCamera, overlay: Overlay, { framebuffer, x, y, clear }: Target): void {
+    const { gl, resources } = this;
+    if (resources === null || gl.isContextLost()) return;
+    this.accumulate(resources, camera, overlay);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.viewport(x, y, camera.width, camera.height);
+    this.useFinish(resources, clear ? NOTHING : this.background, x, y);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  private accumulate({ accumulation, splats, textures }: Resources, camera: PinholeCamera, overlay: Overlay): void {
+    const { gl } = this;
+    accumulation.begin(camera.width, camera.height);
+    gl.useProgram(splats.program);
+    this.setCamera(splats, camera);
+    gl.uniform1i(splats.uniform("overlay"), OVERLAYS.indexOf(overlay));
+    textures.bind();
+    gl.uniform1i(splats.uniform("count"), this.count);
+    gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0, Math.ceil(this.count / BATCH));
+    accumulation.end();
+  }
+
+  private useFinish({ finish }: Resources, background: readonly number[], x: number, y: number): void {
+    this.gl.useProgram(finish.program);
+    this.gl.uniform4fv(finish.uniform("background"), background);
+    this.gl.uniform2i(finish.uniform("corner"), x, y);
   }
 
   dispose(): void {
@@ -125,25 +160,24 @@ export class WebGlRenderer implements Renderer {
     const splats = linked(gl, splatVertexShader(layout.shDegree, layout.restTexels), SPLAT_FRAGMENT_SHADER);
     const finish = linked(gl, SCREEN_VERTEX_SHADER, FINISH_FRAGMENT_SHADER);
     gl.useProgram(splats.program);
-    for (const [unit, name] of ["base", "rest", "heat"].entries()) gl.uniform1i(splats.uniform(name), unit);
-    const rows = gl.createBuffer();
-    gl.bindBuffer(gl.ARRAY_BUFFER, rows);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(0, 1);
+    for (const [unit, name] of ["base", "rest", "heat", "order"].entries()) gl.uniform1i(splats.uniform(name), unit);
+    const corners = gl.createBuffer();
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, corners);
+    const quads = Array.from({ length: BATCH }, (_, quad) => [0, 1, 2, 2, 1, 3].map((corner) => 4 * quad + corner));
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint16Array.from(quads.flat()), gl.STATIC_DRAW);
     const [textures, accumulation, clock] = [new SceneTextures(gl, layout), new Accumulation(gl), new GpuClock(gl)];
-    return { splats, finish, textures, accumulation, clock, rows, recorded: null };
+    return { splats, finish, textures, accumulation, clock, corners, recorded: null };
   }
 
   private release(): void {
     if (this.resources === null) return;
-    const { splats, finish, textures, accumulation, clock, rows, recorded } = this.resources;
+    const { splats, finish, textures, accumulation, clock, corners, recorded } = this.resources;
     clock.stop();
     recorded?.dispose();
     textures.dispose();
     accumulation.dispose();
     for (const { program } of [splats, finish]) this.gl.deleteProgram(program);
-    this.gl.deleteBuffer(rows);
+    this.gl.deleteBuffer(corners);
     this.resources = null;
   }
 
@@ -152,6 +186,7 @@ export class WebGlRenderer implements Renderer {
     this.resources?.clock.stop();
     this.resources = null;
     this.count = 0;
+    this.onLost();
   };
 
   private readonly restored = (): void => {

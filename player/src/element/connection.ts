@@ -105,13 +105,15 @@ function earlyFor(source: string, follow: boolean, first: number | null): Early 
 
 /** The worker's script lies beside this one. One of another origin is reached through a small one of the page's own. */
 function startedWorker(): Worker {
-  const url = new URL("./decogs-worker.js", import.meta.url);
-  if (url.origin === location.origin) return new Worker(url, { type: "module" });
-  const script = new Blob([`import ${JSON.stringify(url.href)};`], { type: "text/javascript" });
-  const address = URL.createObjectURL(script);
-  const worker = new Worker(address, { type: "module" });
+  const here = import.meta.url;
+  // In this very form, which bundlers know.
+  if (new URL(here).origin === location.origin) return new Worker(new URL("./decogs-worker.js", import.meta.url), { type: "module" });
+  const address = here.replace(/[^/]*$/, "decogs-worker.js");
+  const script = new Blob([`import ${JSON.stringify(address)};`], { type: "text/javascript" });
+  const own = URL.createObjectURL(script);
+  const worker = new Worker(own, { type: "module" });
   setTimeout(() => {
-    URL.revokeObjectURL(address);
+    URL.revokeObjectURL(own);
   }, 60_000);
   return worker;
 }

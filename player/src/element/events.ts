@@ -1,9 +1,18 @@
 /** The events that a player sends, with the names that <video> has taught people. */
 export type PlayerEvent =
+  | "loadstart"
+  | "emptied"
   | "loadedmetadata"
   | "loadeddata"
   | "durationchange"
+  | "canplay"
   | "play"
+  /** Playing has begun, or goes on after it had to wait. */
+  | "playing"
+  /** The next frame is late. */
+  | "waiting"
+  /** Nothing comes from the network; it is tried again. */
+  | "stalled"
   | "pause"
   | "timeupdate"
   | "seeking"
@@ -13,4 +22,7 @@ export type PlayerEvent =
   | "progress"
   | "ratechange"
   /** A picture of another camera of the rig, or of none: `player.camera`. */
-  | "camerachange";
+  | "camerachange"
+  /** Somebody looks at the scene in a headset, and looks no longer. */
+  | "xrstart"
+  | "xrend";

@@ -4,6 +4,8 @@ import { DecogsPlayer } from "./player";
 if (customElements.get("decogs-player") === undefined) customElements.define("decogs-player", DecogsPlayer);
 
 export { DecogsPlayer };
+export type { PlayerEvent } from "./events";
+export type { Figures, FrameList, Overlay, Place, PlayerApi, Span, View } from "../player_api";
 export { cameraFromLink, cameraToLink, poseFile } from "../controls/camera_text";
 
 declare global {

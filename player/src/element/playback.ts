@@ -36,7 +36,7 @@ export class Playback {
     } else if (this.loop && shown >= 0) {
       this.position = 0;
     } else {
-      this.position = Math.max(0, this.frameCount - 1);
+      this.position = this.frameCount;
       this.playing = false;
       this.ended = true;
     }

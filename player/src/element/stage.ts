@@ -2,16 +2,20 @@
  * What is in the picture: the renderer, the camera that a person moves, and when to draw. Nothing is drawn while nothing
  * changes. On a slow GPU, pictures are smaller while they change, and whole as soon as they rest.
  */
-import { Navigation } from "../controls/navigation";
-import type { Overlay, Renderer } from "../draw/renderer";
-import { fittedLens, worldToCamera, type PinholeCamera } from "../geometry/poses";
+import { Navigation } from "../camera/navigation";
+import type { Renderer } from "../draw/renderer";
+import type { PinholeCamera } from "../geometry/camera";
+import { fittedLens, worldToCamera } from "../geometry/poses";
 import { asItStood, recordingOf } from "../geometry/recorded";
 import type { DepthRow, DrawOrder, SceneUpdate } from "../messages";
+import type { Overlay } from "../player_api";
 import type { CameraCorrection, RigCamera } from "../scene";
 
 const SLOW_MS = 45;
 const FAST_MS = 18;
 const SMALLEST = 0.4;
+/** Half the pixels have to take less than this share of the time. */
+const HELPS = 0.85;
 /** Milliseconds after the last change until the whole picture is drawn. */
 const REST_MS = 160;
 const LARGEST_SIDE = 8192;
@@ -27,12 +31,18 @@ export class Stage {
   overlay: Overlay = "none";
   drawnAt: number[] = [];
   private scale = 1;
+  /** Of the picture that was timed last; and the one before that was shrunk, with what it took. */
+  private drawnScale = 1;
+  private larger: { readonly scale: number; readonly ms: number } | null = null;
+  /** Whether shrinking has not helped. */
+  private futile = false;
   private dirty = false;
   private changedAt = 0;
   private wholeDrawn = false;
   private count = 0;
   private asked: DepthRow | null = null;
   private serial = 0;
+  private disposed = false;
   private answered = 0;
   /** Orders up to this one were asked for before the scene had a camera. */
   private outdated = 0;
@@ -40,12 +50,25 @@ export class Stage {
   private ordered = false;
 
   constructor(
-    public renderer: Renderer,
+    private drawing: Renderer,
     private readonly sizeOf: () => { readonly width: number; readonly height: number },
     private readonly askOrder: (depth: DepthRow, serial: number) => void,
     /** Whose picture is to look as it was recorded; null: nobody's. */
     private readonly recorded: () => LookedThrough | null = () => null,
   ) {}
+
+  get renderer(): Renderer {
+    return this.drawing;
+  }
+
+  /** Another one may be slow elsewhere. */
+  set renderer(renderer: Renderer) {
+    this.drawing = renderer;
+    this.scale = 1;
+    this.futile = false;
+    this.larger = null;
+    this.touch();
+  }
 
   /** Whether the next picture is still to come. */
   get pending(): boolean {
@@ -61,6 +84,8 @@ export class Stage {
     this.asked = null;
     this.answered = this.outdated = this.serial;
     this.ordered = false;
+    this.futile = false;
+    this.larger = null;
     this.count = 0;
     this.look();
   }
@@ -107,6 +132,7 @@ export class Stage {
     this.adapt();
     const scale = resting ? 1 : this.scale;
     this.drawNow(scale);
+    this.drawnScale = scale;
     this.dirty = false;
     this.wholeDrawn = scale === 1;
     this.drawnAt.push(now);
@@ -114,11 +140,19 @@ export class Stage {
     return true;
   }
 
+  /** Whoever waits for a picture waits no longer. */
+  dispose(): void {
+    this.disposed = true;
+  }
+
   /** A picture of the present view of so many pixels, as PNG. */
   async capture(width: number, height: number): Promise<Blob> {
     const { renderer } = this;
     this.look();
-    while (this.answered < this.serial) await new Promise((done) => setTimeout(done, 5));
+    while (this.answered < this.serial) {
+      if (this.disposed) throw new Error("the player has left the page");
+      await new Promise((done) => setTimeout(done, 5));
+    }
     renderer.draw(this.camera(width, height), this.overlay);
     await renderer.settled?.();
     const blob = new Promise<Blob | null>((done) => {
@@ -134,9 +168,14 @@ export class Stage {
     return asItStood(worldToCamera(this.navigation.pose), recorded?.correction ?? null);
   }
 
-  /** Asks for the order that the camera needs, if another one than before. */
+  /** Asks for the order that the camera needs. */
   private look(): void {
     const [, , row] = this.standing(this.recorded()) as readonly DepthRow[];
+    this.sortFor(row);
+  }
+
+  /** Asks for the order of a view, if another one than before. */
+  sortFor(row: DepthRow): void {
     if (this.asked?.every((part, i) => part === row[i]) || this.answered < this.serial) return;
     this.asked = row;
     this.askOrder(row, ++this.serial);
@@ -148,9 +187,18 @@ export class Stage {
     this.renderer.draw(this.camera(side(width), side(height)), this.overlay);
   }
 
+  /** Smaller pictures while that helps: where Gaussians, not pixels, take the time, it would only blur. */
   private adapt(): void {
     const { drawMs } = this.renderer.times;
-    if (drawMs > SLOW_MS) this.scale = Math.max(SMALLEST, this.scale * 0.85);
-    else if (drawMs < FAST_MS) this.scale = Math.min(1, this.scale / 0.9);
+    const { larger, drawnScale } = this;
+    if (drawMs > SLOW_MS && !this.futile) {
+      if (larger !== null && drawnScale < larger.scale && drawMs > HELPS * larger.ms) {
+        this.futile = true;
+        this.scale = 1;
+        return;
+      }
+      this.larger = { scale: drawnScale, ms: drawMs };
+      this.scale = Math.max(SMALLEST, this.scale * 0.7);
+    } else if (drawMs < FAST_MS) this.scale = Math.min(1, this.scale / 0.9);
   }
 }

@@ -2,8 +2,8 @@
  * The exact picture as a camera recorded it: the kernel's floats, resampled through the lens, in the camera's colours; and
  * that of a subject, whose own colours are what is left when alpha is divided out.
  */
-import type { PinholeCamera } from "../geometry/poses";
-import { NOWHERE, cubicWeights, lensPlan, withOdds, type LensPlan, type Recording } from "../geometry/recorded";
+import type { PinholeCamera, Recording } from "../geometry/camera";
+import { NOWHERE, cubicWeights, lensPlan, withOdds, type LensPlan } from "../geometry/recorded";
 import type { Gaussians, StreamHeader } from "../scene";
 import type { ExactRenderer } from "./renderer";
 

@@ -5,7 +5,7 @@
  * are activated in it, by its own polynomials, so nothing here computes an exponential. What is computed here, the camera,
  * is the float64 arithmetic of decoder/rasterise/native.py in the same order.
  */
-import type { PinholeCamera } from "../geometry/poses";
+import type { PinholeCamera } from "../geometry/camera";
 import type { Gaussians } from "../scene";
 
 /** What a camera sees, planes of height x width floats: red, green and blue, alpha, depth weighted by alpha. */

@@ -1,6 +1,6 @@
 /** Where a camera stands and how it is turned, and what follows for its picture. */
 import type { RigCamera } from "../scene";
-import type { Recording } from "./recorded";
+import type { Lens } from "./camera";
 import { applied, cross, dot, length, minus, times, transposed, unit, type Matrix, type Vector } from "./vectors";
 
 /** `axes`: the camera's x (right), y (down) and z (forward) in the world: the rotation of world-to-camera. */
@@ -31,25 +31,6 @@ export function lookingAxes(centre: Vector, target: Vector, up: Vector): Matrix 
   if (length(right) < 1e-6) right = cross(forward, Math.abs(forward[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]);
   right = unit(right);
   return [right, cross(forward, right), forward];
-}
-
-/** Size, focal lengths and principal point in pixels, and the nearest depth that is drawn. */
-export interface Lens {
-  readonly width: number;
-  readonly height: number;
-  readonly fx: number;
-  readonly fy: number;
-  readonly cx: number;
-  readonly cy: number;
-  readonly near: number;
-}
-
-/** A camera without a lens' distortion: pixels from the picture's top left corner, axes x right, y down, z forward. */
-export interface PinholeCamera extends Lens {
-  /** Three rows of four. */
-  readonly worldToCamera: readonly (readonly number[])[];
-  /** What the picture has beside that of the pinhole, if it is to look as it was recorded. */
-  readonly recording?: Recording | null;
 }
 
 export function lensOf({ width, height, fx, fy, cx, cy, near }: RigCamera): Lens {

@@ -6,7 +6,7 @@
  */
 import type { CameraCorrection, RigCamera } from "../scene";
 import { isDistorted, straightening, type LensModel } from "./lens";
-import type { PinholeCamera } from "./poses";
+import type { PinholeCamera, Recording } from "./camera";
 
 const COLOUR_STEP = 2 ** -12;
 const ANGLE_STEP = 2 ** -18;
@@ -15,19 +15,6 @@ const WIDEST = 3;
 /** Pixels beyond the outermost sample: the footprint of cubic interpolation. */
 const MARGIN = 2;
 const LARGEST_SIDE = 8192;
-
-/** What a picture has beside that of its pinhole camera. */
-export interface Recording {
-  /** null: no distortion. */
-  readonly lens: LensModel | null;
-  /** Multiply the odds v / (1 - v) of red, green and blue; null: nothing does. */
-  readonly odds: readonly [number, number, number] | null;
-  /** The camera's own picture, in pixels of the canvas; nothing was recorded beside it. */
-  readonly left: number;
-  readonly top: number;
-  readonly width: number;
-  readonly height: number;
-}
 
 /** The pose of a camera in a frame: turned about its centre as the frame tells. */
 export function asItStood(rows: readonly (readonly number[])[], correction: CameraCorrection | null): readonly (readonly number[])[] {

@@ -16,9 +16,9 @@ export class BlobFeed implements Feed {
     return this.blob.size;
   }
 
-  async load(offset: number, length: number): Promise<Uint8Array> {
+  async load(offset: number, length: number, _: AbortSignal, take: (piece: Uint8Array) => void): Promise<void> {
     try {
-      return new Uint8Array(await this.blob.slice(offset, offset + length).arrayBuffer());
+      take(new Uint8Array(await this.blob.slice(offset, offset + length).arrayBuffer()));
     } catch (error) {
       throw new StreamError(null, `${this.name} cannot be read: ${String(error)}`);
     }

@@ -15,7 +15,7 @@ import { FrameTable } from "./frameTable";
 import { HttpFeed } from "./http";
 import { readMetricsPayload } from "./metrics";
 import { readIndexAtEnd, readOpening, type Opening } from "./opening";
-import { MemorySource, type ByteSource } from "./sources";
+import { MemorySource, type ByteSource, type Span } from "./sources";
 import { Walk } from "./walk";
 
 export interface StreamOptions {
@@ -24,10 +24,16 @@ export interface StreamOptions {
   /** Limits on what is decoded; those of SPEC section 8 when left out. */
   readonly limits?: Partial<Limits>;
   readonly signal?: AbortSignal;
+  /** Whether what follows a frame is read while it is decoded, without `prefetch`. */
+  readonly ahead?: boolean;
+  /** Called when more bytes have come, the index was read, or the connection is gone or back. */
+  readonly onChange?: () => void;
 }
 
 /** How many bytes ahead `prefetch` reads. */
 const AHEAD_BYTES = 8 << 20;
+/** Frames. */
+const WALKED_AT_ONCE = 16;
 /** What is found where an index that is wrong says that a frame lies. */
 const WRONG_INDEX: ReadonlySet<Reason | null> = new Set<Reason | null>([
   "index-mismatch",
@@ -49,12 +55,13 @@ export type StreamSource = string | URL | Blob | ArrayBuffer | Uint8Array | Byte
  */
 export async function createStream(source: StreamSource, options: StreamOptions = {}): Promise<SceneStream> {
   const bytes = sourceOf(source, options);
+  bytes.onChange = options.onChange ?? null;
   const limits = { ...DEFAULT_LIMITS, ...options.limits };
   try {
     // Compiled while the header comes; whoever decodes waits for it.
     startZstd().catch(() => undefined);
     const opening = await readOpening(bytes, limits, options.signal);
-    const stream = new OpenStream(bytes, opening, limits, options.follow ?? false);
+    const stream = new OpenStream(bytes, opening, limits, options);
     await stream.findFirst(options.signal);
     return stream;
   } catch (error) {
@@ -79,6 +86,10 @@ interface Shown {
 class OpenStream implements SceneStream {
   readonly header: StreamHeader;
   readonly metrics = new Map<number, FrameMetrics>();
+  private readonly follow: boolean;
+  private readonly ahead: boolean;
+  /** The frame that was asked for last. */
+  private target = -1;
   private readonly decoder: Decoder;
   private readonly changes = new Changes();
   private readonly ages = new Ages();
@@ -103,14 +114,16 @@ class OpenStream implements SceneStream {
     private readonly source: ByteSource,
     private readonly opening: Opening,
     private readonly limits: Limits,
-    private readonly follow: boolean,
+    { follow = false, ahead = false, onChange }: StreamOptions,
   ) {
+    this.follow = follow;
+    this.ahead = ahead;
     this.header = opening.header;
     this.decoder = new Decoder(opening.header, limits);
     this.walk = new Walk(source, this.walked, opening.end, limits, follow, this.onMetrics);
     this.indexRead = this.readIndex();
     // Whoever needs the index awaits it.
-    this.indexRead.catch(() => undefined);
+    this.indexRead.then(onChange, () => undefined);
   }
 
   get frames(): readonly FrameEntry[] {
@@ -127,6 +140,39 @@ class OpenStream implements SceneStream {
 
   get bytesRead(): number {
     return this.source.bytesRead;
+  }
+
+  get trouble(): string | null {
+    return this.source.trouble ?? null;
+  }
+
+  get buffered(): readonly Span[] {
+    const { table } = this;
+    const { held } = this.source;
+    if (held === undefined) return table.length > 0 ? [[0, table.length]] : [];
+    const spans: [number, number][] = [];
+    for (let frame = 0, span = 0; frame < table.length; frame++) {
+      const start = table.offset(frame);
+      const end = start + table.entries[frame].bytes;
+      while (span < held.length && held[span][1] < end) span++;
+      // What is lost need not be waited for.
+      if (start >= 0 && !(span < held.length && held[span][0] <= start)) continue;
+      const last = spans.at(-1);
+      if (last?.[1] === frame) last[1]++;
+      else spans.push([frame, frame + 1]);
+    }
+    return spans;
+  }
+
+  share(frame: number): number {
+    const { table } = this;
+    const { held } = this.source;
+    const known = Math.min(frame, table.length - 1);
+    const key = table.keyAt(known);
+    if (held === undefined || key === null || table.offset(known) < 0) return 1;
+    const [start, end] = [table.offset(key), table.offset(known) + table.entries[known].bytes];
+    const there = held.reduce((sum, [from, to]) => sum + Math.max(0, Math.min(to, end) - Math.max(from, start)), 0);
+    return there / (end - start);
   }
 
   get notices(): readonly string[] {
@@ -153,9 +199,17 @@ class OpenStream implements SceneStream {
     const start = this.table.offset(from);
     if (start < 0) return;
     const turn = ++this.aheadTurn;
-    await this.source.prefetch(start, AHEAD_BYTES);
-    await this.walkTo(Infinity, undefined, start + AHEAD_BYTES);
+    const coming = this.source.prefetch(start, AHEAD_BYTES);
+    await Promise.all([coming, this.walkAhead(start + AHEAD_BYTES, turn)]);
     await this.findMetricsAhead(Math.max(0, from - 1), start + AHEAD_BYTES, turn);
+  }
+
+  /** Where there is no index, frames are found as their bytes come; a few at a time, since others wait for the walk, too. */
+  private async walkAhead(end: number, turn: number): Promise<void> {
+    for (let known = -1; this.indexed === null && known !== this.table.length && turn === this.aheadTurn; ) {
+      known = this.table.length;
+      await this.walkTo(known + WALKED_AT_ONCE, undefined, end);
+    }
   }
 
   /** The figures of frames whose bytes were read ahead: where there is an index, nobody walks along the packets. */
@@ -231,6 +285,7 @@ class OpenStream implements SceneStream {
       throw new StreamError(null, `frame ${index} is not in this stream of ${this.table.length} frames`);
     }
     this.busySince = performance.now();
+    this.target = index;
     let shown = this.canStepTo(index) ? this.shown! : await this.jump(index, signal);
     while (shown.frame < index) shown = await this.stepOn(shown, signal);
     return this.sceneFrame(shown);
@@ -245,6 +300,7 @@ class OpenStream implements SceneStream {
   /** To the last keyframe up to a frame that can be reconstructed. */
   private async jump(index: number, signal?: AbortSignal): Promise<Shown> {
     let failure: StreamError | null = null;
+    this.readTo(index);
     for (let key = this.table.keyAt(index); key !== null; key = this.table.keyAt(key - 1)) {
       try {
         return await this.decode(key, true, signal);
@@ -254,6 +310,21 @@ class OpenStream implements SceneStream {
       }
     }
     throw failure ?? this.noKeyBefore(index);
+  }
+
+  /** Has all come that leads to a frame, and gives up what was on its way for others. */
+  private readTo(index: number): void {
+    const [key, { table }] = [this.table.keyAt(index), this];
+    if (key === null || table.offset(index) < 0) return;
+    const end = table.offset(index) + table.entries[index].bytes;
+    // Whoever decodes says what goes wrong.
+    this.source.prefetch(table.offset(key), end - table.offset(key)).catch(() => undefined);
+  }
+
+  private readBehind(frame: number): void {
+    const { table } = this;
+    const end = table.offset(frame) + table.entries[frame].bytes;
+    this.source.prefetch(end, AHEAD_BYTES).catch(() => undefined); // whoever needs the bytes says what goes wrong
   }
 
   private noKeyBefore(index: number): StreamError {
@@ -281,6 +352,7 @@ class OpenStream implements SceneStream {
   private async decode(frame: number, jump: boolean, signal?: AbortSignal): Promise<Shown> {
     await this.letMessagesIn();
     const packet = await this.packet(frame, signal);
+    if (this.ahead && frame === this.target) this.readBehind(frame);
     try {
       if (packet.kind === "key" && this.decoder.refersToFirst(packet.payload)) await this.needFirst(signal);
       const step = this.decoder.apply(packet, jump);

@@ -6,6 +6,9 @@
  */
 export type Access = "local" | "ranges" | "sequential";
 
+/** From one place up to, not including, another. */
+export type Span = readonly [from: number, to: number];
+
 /** Bytes by their offset. Methods reject with a StreamError where bytes cannot be had, and with the signal's reason. */
 export interface ByteSource {
   /** For messages. */
@@ -22,6 +25,12 @@ export interface ByteSource {
   /** Looks whether the source has grown; resolves to whether it has. */
   refresh(): Promise<boolean>;
   close(): void;
+  /** Bytes that can be read without waiting, in order; without it, all can. */
+  readonly held?: readonly Span[];
+  /** What is wrong while it is tried again; null when nothing is. */
+  readonly trouble?: string | null;
+  /** Called when `held` or `trouble` has changed. */
+  onChange?: (() => void) | null;
 }
 
 /** Bytes in memory. */

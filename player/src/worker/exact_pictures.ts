@@ -1,5 +1,5 @@
 /** The worker's exact pictures: the kernel is fetched when the first one is asked for. */
-import type { PinholeCamera } from "../geometry/poses";
+import type { PinholeCamera } from "../geometry/camera";
 import { asSeen, recordedPixels } from "../exact/recorded";
 import { ExactRenderer } from "../exact/renderer";
 import type { ExactPicture } from "../messages";

@@ -10,8 +10,9 @@ const scope = self as unknown as {
 
 /** It lies beside this script. */
 const loadKernel = async (): Promise<ArrayBuffer> => {
-  const answer = await fetch(new URL("./decogs-exact.wasm", import.meta.url));
-  if (!answer.ok) throw new Error(`decogs-exact.wasm: HTTP ${answer.status}`);
+  const { href } = new URL("./decogs-exact.wasm", import.meta.url);
+  const answer = await fetch(href);
+  if (!answer.ok) throw new Error(`${href}: HTTP ${answer.status}`);
   return answer.arrayBuffer();
 };
 

@@ -1,7 +1,7 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
-import type { PinholeCamera } from "../geometry/poses";
+import type { PinholeCamera } from "../geometry/camera";
 import type { SceneFrame, SceneStream } from "../scene";
-import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
+import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
 import { DepthSorter } from "./depth_order";
@@ -9,9 +9,10 @@ import type { ExactPictures, LoadKernel } from "./exact_pictures";
 import { PackedScene } from "./packed_scene";
 import { textureLayout } from "./packing";
 
-export type OpenStream = (source: string, options: { readonly follow: boolean }) => Promise<SceneStream>;
+export type OpenStream = (source: string, options: { readonly follow: boolean; readonly ahead: true; readonly onChange: () => void }) => Promise<SceneStream>;
 export type Send = (message: FromWorker, transfer?: Transferable[]) => void;
 
+const PROGRESS_MS = 100;
 const EMPTY_ORDER: DrawOrder = { order: new Uint32Array(0), count: 0, sortMs: 0, serial: 0 };
 
 export class StreamWorker {
@@ -25,7 +26,10 @@ export class StreamWorker {
   private kernel: ExactRenderer | null = null;
   private exactCamera: PinholeCamera | null = null;
   private readonly sorter = new DepthSorter();
-  private told = { frames: 0, metrics: 0, bytesRead: 0, complete: false, notices: 0 };
+  private told = { frames: 0, metrics: 0, state: "" };
+  private progressTimer: ReturnType<typeof setTimeout> | null = null;
+  /** The frame that is read or decoded; null when none is. */
+  private awaited: number | null = null;
   private wanted: { frame: number; request: number } | null = null;
   private abort: AbortController | null = null;
   private busy = false;
@@ -75,7 +79,10 @@ export class StreamWorker {
 
   private async open(source: string, follow: boolean): Promise<void> {
     try {
-      const stream = await this.openStream(source, { follow });
+      const onChange = (): void => {
+        this.tellSoon();
+      };
+      const stream = await this.openStream(source, { follow, ahead: true, onChange });
       const { header } = stream;
       this.follow = follow;
       const complete = this.isComplete(stream);
@@ -83,12 +90,12 @@ export class StreamWorker {
       this.stream = stream;
       this.packed = new PackedScene(layout, this.buffers);
       const frames = this.newFrames() ?? { from: 0, kinds: new Uint8Array(0), bytes: new Uint32Array(0) };
-      this.told.complete = complete;
       this.send({ type: "opened", header, layout, frames, complete });
       this.tellProgress();
       void this.showWanted();
     } catch (error) {
-      this.send({ type: "failed", request: null, message: sentence(error) });
+      const message = sentence(error);
+      this.send({ type: "failed", request: null, message: message.includes("://") ? message : `${source}: ${message}` });
     }
   }
 
@@ -100,10 +107,12 @@ export class StreamWorker {
     while (this.wanted !== null) {
       const { frame, request } = this.wanted;
       this.wanted = null;
+      this.awaited = frame;
       this.abort = new AbortController();
       try {
         const begun = performance.now();
         const scene = await stream.frame(frame, this.abort.signal);
+        this.awaited = null;
         const decoded = performance.now();
         const update = packed.take(scene);
         const packedAt = performance.now();
@@ -119,6 +128,7 @@ export class StreamWorker {
       }
       this.drawHeld();
     }
+    this.awaited = null;
     this.busy = false;
   }
 
@@ -197,22 +207,32 @@ export class StreamWorker {
     if (this.frame === null || this.view === null) return EMPTY_ORDER;
     const begun = performance.now();
     const { means, count } = this.frame.gaussians;
-    const order = this.buffers.words(count);
+    const order = this.buffers.words(TEXTURE_WIDTH * textureLines(count, 1));
     const drawn = this.sorter.sort(means, count, this.view.depth, order);
     return { order, count: drawn, sortMs: performance.now() - begun, serial: this.view.serial };
   }
 
+  /** Bytes come in many small pieces. */
+  private tellSoon(): void {
+    this.progressTimer ??= setTimeout(() => {
+      this.tellProgress();
+    }, PROGRESS_MS);
+  }
+
   private tellProgress(): void {
-    const { stream, told } = this;
+    if (this.progressTimer !== null) clearTimeout(this.progressTimer);
+    this.progressTimer = null;
+    const { stream, told, awaited } = this;
     if (stream === null) return;
     const psnr = this.newMetrics(stream);
     const frames = this.newFrames();
-    const { bytesRead, notices } = stream;
-    const complete = this.isComplete(stream);
-    const same = told.bytesRead === bytesRead && told.complete === complete && told.notices === notices.length;
-    if (frames === null && psnr.length === 0 && same) return;
-    Object.assign(told, { bytesRead, complete, notices: notices.length });
-    this.send({ type: "progress", bytesRead, complete, frames, psnr, notices });
+    const { bytesRead, notices, buffered, trouble } = stream;
+    const share = awaited === null ? null : stream.share(awaited);
+    const state = { bytesRead, notices, buffered, trouble, share, complete: this.isComplete(stream) };
+    const text = JSON.stringify(state);
+    if (frames === null && psnr.length === 0 && text === told.state) return;
+    told.state = text;
+    this.send({ type: "progress", frames, psnr, ...state });
   }
 
   /** Whether no more frames will come. */

@@ -1,7 +1,7 @@
 // Hands on: mouse, keys, the bar and its menu, cameras of the rig, overlays, small screens.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { ready, started, until } from "./harness.mjs";
+import { ready, show, started, until } from "./harness.mjs";
 
 let browser;
 before(async () => (browser = await started()));
@@ -10,11 +10,11 @@ after(() => browser.close());
 const state = (page) =>
   page.evaluate(() => {
     const player = document.querySelector("decogs-player");
-    const { pose, pivot, up } = player.stage.navigation;
+    const { pose, pivot, up } = player[Symbol.for("decogs.inside")].stage.navigation;
     return { axes: pose.axes, centre: pose.centre, pivot, up, camera: player.camera, frame: player.currentFrame };
   });
 const distance = (a, b) => Math.hypot(...a.map((value, i) => value - b[i]));
-const rested = (page) => until(page, "!player.stage.pending && !player.stage.renderer.busy");
+const rested = (page) => until(page, "!inside.stage.pending && !inside.stage.renderer.busy");
 
 async function dragged(page, right, down, button = "left") {
   await page.mouse.move(300, 120);
@@ -48,7 +48,7 @@ test("dragging circles the pivot, upright, the near side going with the hand", a
   const shifted = await state(page);
   assert.ok(distance(shifted.pivot, nearer.pivot) > 0.01);
   await page.keyboard.press("r");
-  await page.waitForTimeout(900);
+  await until(page, "player.camera !== '' && !inside.stage.navigation.jumping");
   const back = await state(page);
   assert.ok(distance(back.centre, before.centre) < 1e-9);
   assert.equal(back.camera, before.camera);
@@ -86,6 +86,48 @@ test("keys play, step, fly and change cameras", async () => {
   await until(page, "!player.shadowRoot.querySelector('.help').hidden");
   await page.keyboard.press("Escape");
   await until(page, "player.shadowRoot.querySelector('.help').hidden");
+  await page.context().close();
+});
+
+test("digits go to tenths of the time, comma and full stop step", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400 });
+  await ready(page);
+  await until(page, "player.frames.count === 300");
+  await page.keyboard.press("5");
+  await until(page, "player.info.frame === 150");
+  await page.keyboard.press(",");
+  await until(page, "player.info.frame === 149");
+  await page.keyboard.press(".");
+  await until(page, "player.info.frame === 150");
+  await page.context().close();
+});
+
+test("people are told that they may turn the picture, which turns by itself until they do", async () => {
+  const page = await browser.opened("dome", { width: 640, height: 400, query: "&orbit" });
+  await ready(page);
+  await until(page, "/Drag to look around/.test(player.shadowRoot.querySelector('.notice')?.textContent)");
+  const before = await state(page);
+  await until(page, `Math.hypot(...player.view.pose.centre.map((value, i) => value - [${before.centre}][i])) > 0.02`);
+  await dragged(page, 60, 0);
+  await rested(page);
+  const after = await state(page);
+  await page.waitForTimeout(400);
+  assert.deepEqual((await state(page)).centre, after.centre);
+  await page.context().close();
+});
+
+test("the menu copies code that shows the page at this view in another one", async () => {
+  const page = await browser.opened("long", { width: 640, height: 480 });
+  await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+  await ready(page);
+  await show(page, 7);
+  await page.locator("[name=menu]").click();
+  await page.locator("[name=embed]").click();
+  await until(page, "/Copied/.test(player.shadowRoot.querySelector('.notice').textContent)");
+  const code = await page.evaluate(() => navigator.clipboard.readText());
+  await page.setContent(code);
+  const frame = await (await page.locator("iframe").elementHandle()).contentFrame();
+  await until(frame, "player?.info?.frame === 7");
   await page.context().close();
 });
 
@@ -158,7 +200,7 @@ test("nothing is drawn while nothing changes", async () => {
   await ready(page);
   await rested(page);
   await page.waitForTimeout(500);
-  const drawn = () => page.evaluate(() => document.querySelector("decogs-player").ticking);
+  const drawn = () => page.evaluate(() => document.querySelector("decogs-player")[Symbol.for("decogs.inside")].ticking);
   assert.equal(await drawn(), 0);
   await page.context().close();
 });
@@ -212,7 +254,7 @@ test("the recorded picture lies left of a line, as large as the camera's, and fo
   await until(page, `player.camera === 'barrel' && ${shown}`);
   // That of the camera before does not lie over this one's view while its own is on its way.
   await page.keyboard.press("]");
-  await until(page, "player.camera === 'fisheye' && !player.stage.navigation.jumping");
+  await until(page, "player.camera === 'fisheye' && !inside.stage.navigation.jumping");
   await until(page, "player.shadowRoot.querySelector('.recording img').hidden", 1500);
   await until(page, `player.camera === 'fisheye' && ${shown}`);
   assert.equal((await seen()).address, "/recorded/fisheye/1.jpg");

@@ -13,16 +13,18 @@ export async function started(folders = {}) {
   return {
     server,
     browser,
-    /** A page whose player is that large and plays a stream; what the page complains of is in `page.complaints`. */
-    async opened(stream, { width = 200, height = 150, query = "", scale = 1, folder = "data", touch = false } = {}) {
-      const context = await browser.newContext({ viewport: { width, height }, deviceScaleFactor: scale, hasTouch: touch });
+    /** A page whose player is that large, draws by WebGL2 unless the query or `automatic` says otherwise, and plays a stream; what the page complains of is in `page.complaints`. */
+    async opened(stream, { width = 200, height = 150, query = "", automatic = false, scale = 1, folder = "data", touch = false } = {}) {
+      const context = await browser.newContext({ viewport: { width, height }, deviceScaleFactor: scale, hasTouch: touch, isMobile: touch });
       const page = await context.newPage();
       page.complaints = [];
       page.on("console", (message) => {
         if (message.type() === "error") page.complaints.push(message.text());
       });
       page.on("pageerror", (error) => page.complaints.push(String(error)));
-      await page.goto(`${server.address}/page/index.html?src=/${folder}/${stream}.dgs${query}`);
+      // Chromium draws in software here, where the kernel would draw by itself.
+      const webgl = automatic || query.includes("&exact") ? "" : "&exact=off";
+      await page.goto(`${server.address}/page/index.html?src=/${folder}/${stream}.dgs${webgl}${query}`);
       return page;
     },
     async close() {
@@ -32,10 +34,13 @@ export async function started(folders = {}) {
   };
 }
 
-/** Waits until something holds of the player: an expression in `player`. */
+/** Waits until something holds of the player: an expression in `player`, and in what is `inside` it (element/player.ts). */
 export function until(page, condition, timeout = 30_000) {
   return page.waitForFunction(
-    (text) => new Function("player", `return ${text}`)(document.querySelector("decogs-player")),
+    (text) => {
+      const player = document.querySelector("decogs-player");
+      return new Function("player", "inside", `return ${text}`)(player, player?.[Symbol.for("decogs.inside")]);
+    },
     condition,
     { timeout, polling: 50 },
   );

@@ -13,7 +13,7 @@ try {
   await page.goto(`http://127.0.0.1:${server.address().port}/`, { waitUntil: "domcontentloaded" });
   const frame = await (await page.waitForSelector("iframe")).contentFrame();
   await frame.waitForFunction(() => document.querySelector("decogs-player")?.info !== null, null, { timeout: 60_000 });
-  await frame.waitForFunction(() => !document.querySelector("decogs-player").stage.pending, null, { timeout: 60_000 });
+  await frame.waitForFunction(() => !document.querySelector("decogs-player")[Symbol.for("decogs.inside")].stage.pending, null, { timeout: 60_000 });
   if (screenshot !== undefined) await page.screenshot({ path: screenshot });
   const told = await frame.evaluate(() => {
     const { info, error, clientWidth, clientHeight } = document.querySelector("decogs-player");

@@ -1,7 +1,7 @@
 // What is drawn is what decogs-decode draws: trained scenes, every degree of harmonics, cameras of the rig and a free one.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { filed, listed, picture, psnr, ready, show, started } from "./harness.mjs";
+import { filed, listed, picture, psnr, ready, show, started, until } from "./harness.mjs";
 
 const LEAST_DB = 40;
 let browser;
@@ -58,6 +58,17 @@ test("a camera copied as pose.json is the one in the picture", async () => {
   await page.context().close();
 });
 
+test("a camera copied as pose.json has the near plane of the view", async () => {
+  const page = await browser.opened("degree2");
+  await ready(page);
+  const text = await page.evaluate(async () => {
+    const { poseFile } = await import("/page/decogs-player.js");
+    return poseFile(document.querySelector("decogs-player").currentCamera());
+  });
+  assert.equal(JSON.parse(text).near, 0.6);
+  await page.context().close();
+});
+
 test("a link shows the same view", async () => {
   const page = await browser.opened("degree2", { query: "&camera=turned" });
   await ready(page);
@@ -65,7 +76,7 @@ test("a link shows the same view", async () => {
   const here = await picture(page, 200, 150);
   const link = await page.evaluate(async () => {
     const { cameraToLink } = await import("/page/decogs-player.js");
-    const { pose, lens } = document.querySelector("decogs-player").stage.navigation;
+    const { pose, lens } = document.querySelector("decogs-player").view;
     return `#camera=${cameraToLink(pose, lens)}&frame=2`;
   });
   const other = await browser.opened("degree2", { query: link });
@@ -80,5 +91,21 @@ test("a picture on a screen of two device pixels has twice the size", async () =
   await ready(page);
   const { width, height } = await picture(page);
   assert.deepEqual([width, height], [400, 300]);
+  await page.context().close();
+});
+
+test("where WebGL is software, the kernel draws by itself; overlays, and who wants it, get WebGL", async () => {
+  const page = await browser.opened("degree1", { automatic: true });
+  await ready(page);
+  const exact = () => page.evaluate(() => document.querySelector("decogs-player").exact);
+  assert.equal(await exact(), true);
+  await page.evaluate(() => (document.querySelector("decogs-player").overlay = "motion"));
+  assert.equal(await exact(), false);
+  await page.evaluate(() => (document.querySelector("decogs-player").overlay = "none"));
+  assert.equal(await exact(), true);
+  await page.evaluate(() => (document.querySelector("decogs-player").exact = false));
+  assert.equal(await exact(), false);
+  await until(page, "!inside.stage.pending && !inside.stage.renderer.busy");
+  assert.deepEqual(page.complaints, []);
   await page.context().close();
 });

@@ -87,7 +87,7 @@ test("events and properties are those of <video>", async () => {
     await player.play();
     const { paused } = player;
     await ended;
-    return { duration, currentTime, paused, ended: player.ended, pausedAtEnd: player.paused, events, rate: player.playbackRate };
+    return { duration, currentTime, paused, ended: player.ended && player.currentTime === duration, pausedAtEnd: player.paused, events, rate: player.playbackRate };
   });
   assert.ok(Math.abs(told.duration - 4 / 30) < 1e-9);
   assert.ok(Math.abs(told.currentTime - 2 / 30) < 1e-9);
@@ -110,7 +110,7 @@ test("a growing file is followed to its end", async () => {
   await show(page, 61);
   await agrees(page, 61);
   appendFileSync(path, whole.subarray(ends[64]));
-  await until(page, "player.frames.count === 300 && player.playback.complete");
+  await until(page, "player.frames.count === 300 && inside.playback.complete");
   await show(page, 299);
   await agrees(page, 299);
   await page.context().close();
@@ -149,8 +149,14 @@ test("what is no stream is an error that says so", async () => {
   writeFileSync(join(folder, "other.dgs"), "<html>no stream</html>".repeat(20));
   const other = await browser.opened("other", { folder: "growing" });
   await until(other, "player.error !== null");
-  assert.match(await other.evaluate(() => document.querySelector("decogs-player").error), /not a \.dgs stream/);
-  for (const each of [page, other]) await each.context().close();
+  assert.match(await other.evaluate(() => document.querySelector("decogs-player").error), /growing\/other\.dgs.*not a \.dgs stream/);
+  // One that ends inside its first keyframe.
+  writeFileSync(join(folder, "begun.dgs"), readFileSync(join(DATA, "long.dgs")).subarray(0, ends[0] - 100));
+  const begun = await browser.opened("begun", { folder: "growing" });
+  await until(begun, "player.error !== null");
+  assert.match(await begun.evaluate(() => document.querySelector("decogs-player").error), /cut off/);
+  await until(begun, "player.shadowRoot.querySelector('.veil')?.hidden");
+  for (const each of [page, other, begun]) await each.context().close();
 });
 
 test("a lost WebGL context comes back with the same picture", async () => {
@@ -159,13 +165,13 @@ test("a lost WebGL context comes back with the same picture", async () => {
   await show(page, 7);
   await page.evaluate(async () => {
     const player = document.querySelector("decogs-player");
-    const extension = player.stage.renderer.canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+    const extension = player[Symbol.for("decogs.inside")].stage.renderer.canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
     extension.loseContext();
     await new Promise((done) => setTimeout(done, 200));
     extension.restoreContext();
     await new Promise((done) => setTimeout(done, 200));
   });
-  await until(page, "!player.stage.pending && !player.stage.renderer.busy");
+  await until(page, "!inside.stage.pending && !inside.stage.renderer.busy");
   await agrees(page, 7);
   await show(page, 61);
   await agrees(page, 61);

@@ -24,7 +24,7 @@ try {
   copyFileSync(join(here, "../../../decoder/viewing/page/decogs-exact.wasm"), join(page, "decogs-exact.wasm"));
   const tests = readdirSync(here).filter((name) => name.endsWith(".test.mjs"));
   const wanted = tests.filter((name) => parts.length === 0 || parts.some((part) => name.includes(part)));
-  if (status === 0) status = run("--test", "--test-concurrency=1", "--test-timeout=300000", ...wanted.map((name) => join(here, name)));
+  if (status === 0) status = run("--experimental-websocket", "--test", "--test-concurrency=1", "--test-timeout=300000", ...wanted.map((name) => join(here, name)));
 } finally {
   rmSync(page, { recursive: true, force: true });
 }

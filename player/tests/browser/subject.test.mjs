@@ -13,7 +13,7 @@ const LEAST_DB = 45;
 async function seen(page, player = page) {
   await until(player, "player.shadowRoot.querySelector('.controls') !== null");
   await player.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector(".controls").remove());
-  await until(player, "!player.stage.pending && !player.stage.renderer.busy");
+  await until(player, "!inside.stage.pending && !inside.stage.renderer.busy");
   await page.waitForTimeout(200); // until it is on the screen
   return pixelsOf(page, `data:image/png;base64,${(await page.screenshot()).toString("base64")}`);
 }

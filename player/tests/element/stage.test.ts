@@ -5,18 +5,22 @@ import { Stage } from "../../src/element/stage";
 import type { Renderer } from "../../src/draw/renderer";
 import type { DrawOrder } from "../../src/messages";
 
-function stageOf(asked: number[], drawn: number[]): Stage {
+/** `cost`: milliseconds of a picture of so many pixels across. */
+function stageOf(asked: number[], drawn: number[], cost: (width: number) => number = () => 1, widths: number[] = []): Stage {
   let ordered = 0;
+  const times = { uploadMs: 0, drawMs: 0 };
   const renderer = {
     busy: false,
-    times: {},
+    times,
     canvas: {},
     load: () => undefined,
     order: ({ serial }: DrawOrder) => {
       ordered = serial;
     },
-    draw: () => {
+    draw: ({ width }: { readonly width: number }) => {
       drawn.push(ordered);
+      widths.push(width);
+      times.drawMs = cost(width);
     },
   } as unknown as Renderer;
   return new Stage(
@@ -43,4 +47,27 @@ test("an order that was asked for before the scene had a camera is not drawn", (
   stage.order(order(2));
   stage.step(20, 0.01, false);
   assert.deepEqual(drawn, [2]);
+});
+
+/** Widths of the pictures while the scene moves for some time, at 64 pixels across when they are whole. */
+function moving(cost: (width: number) => number): number[] {
+  const widths: number[] = [];
+  const stage = stageOf([], [], cost, widths);
+  stage.begin();
+  stage.load(null, order(1));
+  for (let picture = 0; picture < 40; picture++) {
+    stage.touch();
+    stage.step(20 * picture, 0.02, true);
+  }
+  return widths;
+}
+
+test("pictures shrink where their pixels are what takes the time", () => {
+  assert.ok(moving((width) => 200 * (width / 64) ** 2).at(-1)! < 40);
+});
+
+test("pictures stay whole where Gaussians take the time, since smaller ones would not come sooner", () => {
+  const widths = moving(() => 200);
+  assert.equal(widths.at(-1), 64);
+  assert.ok(widths.filter((width) => width < 64).length <= 2);
 });

@@ -8,7 +8,7 @@ import { join } from "node:path";
 import { before, suite, test } from "node:test";
 import { asSeen, recordedPixels } from "../../src/exact/recorded";
 import { ExactError, ExactRenderer } from "../../src/exact/renderer";
-import type { PinholeCamera } from "../../src/geometry/poses";
+import type { PinholeCamera } from "../../src/geometry/camera";
 import type { Gaussians, StreamHeader } from "../../src/scene";
 
 interface Case {

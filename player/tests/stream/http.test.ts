@@ -83,10 +83,11 @@ const MANNERS: Record<string, Manner> = {
   "that answers only when it is asked again": { fails: twice() },
 };
 
-/** Each range fails twice, in two ways. */
+/** Each range fails twice, in two ways; what is left of one that was cut is the same range. */
 function twice(): NonNullable<Manner["fails"]> {
   const asked = new Map<string | undefined, number>();
-  return ({ headers: { range } }) => {
+  return ({ headers }) => {
+    const range = headers.range?.split("-")[1];
     const count = asked.get(range) ?? 0;
     asked.set(range, count + 1);
     return ([503, "cut"] as const)[count] ?? null;

@@ -3,8 +3,8 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
-import { lookedAt } from "../../src/controls/looked_at";
-import { upOf } from "../../src/controls/up_direction";
+import { lookedAt } from "../../src/camera/looked_at";
+import { upOf } from "../../src/camera/up_direction";
 import { poseOf } from "../../src/geometry/poses";
 
 interface Case {
@@ -15,7 +15,7 @@ interface Case {
   cameras: number[][][];
 }
 
-const file = join(process.env.DECOGS_REPOSITORY!, "player/tests/controls/up_cases.json");
+const file = join(process.env.DECOGS_REPOSITORY!, "player/tests/camera/up_cases.json");
 for (const { name, up, looked_at, cameras } of JSON.parse(readFileSync(file, "utf8")) as Case[]) {
   const posed = cameras.map((worldToCamera) => ({ worldToCamera }));
   test(`up: ${name}`, () => {

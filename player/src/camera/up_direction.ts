@@ -1,6 +1,6 @@
 /**
  * Which way is up in a rig's world: the rule of formats/up_direction.py, where its reasons are. The same cases test both
- * (tests/controls/up_cases.json).
+ * (tests/camera/up_cases.json).
  */
 import { dot, length, minus, symmetricEigen, times, unit, type Matrix, type Vector } from "../geometry/vectors";
 import { poseOf } from "../geometry/poses";

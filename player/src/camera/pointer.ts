@@ -10,8 +10,16 @@ interface Point {
   y: number;
 }
 
-/** Listens until the function that it returns is called; `moved` is told of every movement. */
-export function attachPointer(surface: HTMLElement, navigation: Navigation, moved: () => void): () => void {
+export interface PointerHost {
+  /** Told of every movement. */
+  readonly cameraMoved: () => void;
+  /** Whether one finger and the wheel are the page's: it scrolls. */
+  readonly cooperative: () => boolean;
+  readonly hint: (text: string) => void;
+}
+
+/** Listens until the function that it returns is called. */
+export function attachPointer(surface: HTMLElement, navigation: Navigation, { cameraMoved, cooperative, hint }: PointerHost): () => void {
   const down = new Map<number, Point>();
   const options = new AbortController();
   const listen = <K extends keyof HTMLElementEventMap>(name: K, handle: (event: HTMLElementEventMap[K]) => void): void => {
@@ -32,15 +40,30 @@ export function attachPointer(surface: HTMLElement, navigation: Navigation, move
     if (point === undefined) return;
     const before = { ...point };
     [point.x, point.y] = [event.clientX, event.clientY];
-    if (down.size === 2) pinch(navigation, surface, [...down.values()].find((other) => other !== point)!, before, point);
-    else if (down.size === 1) drag(navigation, surface, event, point.x - before.x, point.y - before.y);
-    moved();
+    if (down.size === 2) {
+      const other = [...down.values()].find((each) => each !== point)!;
+      pinch(navigation, surface, other, before, point, cooperative());
+    } else if (event.pointerType === "touch" && cooperative()) {
+      hint("Use two fingers to look around");
+      return;
+    } else if (down.size === 1) drag(navigation, surface, event, point.x - before.x, point.y - before.y);
+    cameraMoved();
   });
+  // Two fingers are not for scrolling.
+  for (const name of ["touchstart", "touchmove"] as const) {
+    listen(name, (event) => {
+      if (event.touches.length > 1 && event.cancelable) event.preventDefault();
+    });
+  }
   listen("wheel", (event) => {
+    if (cooperative() && !event.ctrlKey && !event.metaKey) {
+      hint("Use Ctrl and the wheel to go nearer");
+      return;
+    }
     event.preventDefault();
     const pixels = event.deltaMode === WheelEvent.DOM_DELTA_PIXEL ? event.deltaY : 30 * event.deltaY;
     navigation.zoom(Math.exp(Math.max(-200, Math.min(200, pixels)) * WHEEL_STEP));
-    moved();
+    cameraMoved();
   });
   listen("contextmenu", (event) => {
     event.preventDefault();
@@ -59,17 +82,35 @@ function drag(navigation: Navigation, surface: HTMLElement, event: PointerEvent,
     const turn = TURN_ACROSS / surface.clientWidth / 2;
     navigation.look(-right * turn, -downwards * turn);
   } else {
-    const turn = TURN_ACROSS / Math.max(surface.clientWidth, 480);
+    const turn = turnOf(surface);
     navigation.orbit(right * turn, downwards * turn);
   }
 }
 
-/** Two fingers: their middle pans, their distance zooms. */
-function pinch(navigation: Navigation, surface: HTMLElement, still: Point, before: Point, after: Point): void {
+/** Two fingers: their distance zooms, their middle pans, or circles where one finger may not. */
+function pinch(
+  navigation: Navigation,
+  surface: HTMLElement,
+  still: Point,
+  before: Point,
+  after: Point,
+  circles: boolean,
+): void {
   const distance = (point: Point): number => Math.hypot(point.x - still.x, point.y - still.y);
   if (distance(after) > 8 && distance(before) > 8) navigation.zoom(distance(before) / distance(after));
-  const scale = lensPixels(navigation, surface) / 2;
-  navigation.pan((after.x - before.x) * scale, (after.y - before.y) * scale);
+  const [right, downwards] = [(after.x - before.x) / 2, (after.y - before.y) / 2];
+  if (circles) {
+    const turn = turnOf(surface);
+    navigation.orbit(right * turn, downwards * turn);
+    return;
+  }
+  const scale = lensPixels(navigation, surface);
+  navigation.pan(right * scale, downwards * scale);
+}
+
+/** Radians of a circling movement for a pixel of the page. */
+function turnOf(surface: HTMLElement): number {
+  return TURN_ACROSS / Math.max(surface.clientWidth, 480);
 }
 
 /** Pixels of the lens for one of the page. */

@@ -4,8 +4,10 @@
  * A camera of the rig is shown as it stands, tilted if it is; as soon as one circles the pivot the horizon levels.
  * Movements glide to rest. `step` is called once a picture.
  */
-import type { Lens, Pose } from "../geometry/poses";
+import type { Lens } from "../geometry/camera";
+import type { Pose } from "../geometry/poses";
 import { lookingAxes } from "../geometry/poses";
+import type { RigRange } from "./rig_range";
 import {
   applied,
   cross,
@@ -29,6 +31,11 @@ const GLIDE = 0.09;
 const JUMP_SECONDS = 0.45;
 const LEVELLING = 6;
 const STILL = 1e-4;
+/** Of a round, or once to and fro. */
+const SWAY_SECONDS = 24;
+/** Distances from the pivot that zooming ends at, in those of the rig. */
+const NEAREST = 0.01;
+const FARTHEST = 8;
 
 interface Jump {
   readonly from: Pose;
@@ -58,6 +65,10 @@ export class Navigation {
   flight: Vector = [0, 0, 0];
   /** Whether jumps and glides are left out. */
   calm = false;
+  /** Where cameras stand; null before it is known. */
+  range: RigRange | null = null;
+  /** Whether views stay where the cameras of the rig have seen the scene from. */
+  limited = false;
 
   private spin: [number, number] = [0, 0];
   private shift: Vector = [0, 0, 0];
@@ -65,6 +76,8 @@ export class Navigation {
   private velocity: Vector = [0, 0, 0];
   private jump: Jump | null = null;
   private levelling = false;
+  /** A view that moves by itself, until somebody takes it. */
+  private swaying: { readonly from: Pose; seconds: number } | null = null;
 
   /** Whether the camera is on its way to where it was put. */
   get jumping(): boolean {
@@ -74,12 +87,23 @@ export class Navigation {
   /** Puts the camera somewhere, at once or by a short flight. */
   goTo(pose: Pose, lens: Lens, atOnce: boolean): void {
     this.rest();
+    this.swaying = null;
     this.moved = false;
     if (atOnce || this.calm) {
       [this.pose, this.lens, this.jump] = [pose, lens, null];
       return;
     }
     this.jump = { from: this.pose, to: pose, fromLens: this.lens, toLens: lens, done: 0 };
+  }
+
+  /** Moves to and fro about the pivot, or around it where cameras stand all around, until somebody moves the camera. */
+  sway(on: boolean): void {
+    this.swaying = on && !this.calm && this.range !== null ? { from: this.pose, seconds: 0 } : null;
+    if (this.swaying !== null) this.moved = true;
+  }
+
+  get isSwaying(): boolean {
+    return this.swaying !== null;
   }
 
   /** Circles the pivot, by radians to the right and down. */
@@ -115,7 +139,9 @@ export class Navigation {
   /** Goes nearer to the pivot (below 1) or away from it, by a factor of the distance. */
   zoom(factor: number): void {
     this.begin();
-    this.approach += Math.log(factor);
+    const distance = length(minus(this.pose.centre, this.pivot));
+    const [nearest, farthest] = [Math.min(distance, NEAREST * this.size), Math.max(distance, FARTHEST * this.size)];
+    this.approach = clamped(this.approach + Math.log(factor), Math.log(nearest / distance), Math.log(farthest / distance));
     if (this.calm) this.glide(1);
   }
 
@@ -123,15 +149,39 @@ export class Navigation {
   step(seconds: number): boolean {
     const before = this.pose;
     if (length(this.flight) > 0) this.begin();
-    if (this.jump !== null) this.fly(this.jump, seconds);
+    if (this.swaying !== null) this.swayOn(this.swaying, seconds);
+    else if (this.jump !== null) this.fly(this.jump, seconds);
     else {
       this.glide(this.calm ? 1 : 1 - Math.exp(-seconds / GLIDE));
       this.travel(seconds);
     }
+    if (this.limited && this.jump === null) this.holdWithin(before);
     return this.pose !== before;
   }
 
+  /** A wall around what the cameras see from: no farther out; who is outside may come back. */
+  private holdWithin(before: Pose): void {
+    const { range, pose } = this;
+    if (range === null || pose === before || !this.moved) return;
+    const now = range.outside(pose.centre);
+    if (now > 0 && now > range.outside(before.centre)) {
+      this.pose = before;
+      this.rest();
+    }
+  }
+
+  private swayOn(swaying: { readonly from: Pose; seconds: number }, seconds: number): void {
+    const { from } = swaying;
+    swaying.seconds += seconds;
+    const round = (2 * Math.PI * swaying.seconds) / SWAY_SECONDS;
+    const angle = this.range!.allAround ? round : this.range!.sway(from.centre) * Math.sin(round);
+    const turn = turnAbout(this.up, angle);
+    const away = applied(turn, minus(from.centre, this.pivot));
+    this.pose = { axes: product(from.axes, transposed(turn)), centre: plus(this.pivot, away) };
+  }
+
   private begin(): void {
+    this.swaying = null;
     this.jump = null;
     this.moved = true;
   }

@@ -1,0 +1,192 @@
+/** The canvases of a player, what draws on them, and the poster over them. */
+import { attachPointer } from "../camera/pointer";
+import { ExactCanvas } from "../draw/exact_canvas";
+import { createRenderer } from "../draw/index";
+import type { Renderer } from "../draw/renderer";
+import type { WebGlRenderer } from "../draw/webgl_renderer";
+import type { PinholeCamera } from "../geometry/camera";
+import type { Overlay } from "../player_api";
+import type { DepthRow, ExactPicture, TextureLayout } from "../messages";
+import type { StreamHeader } from "../scene";
+import { Stage, type LookedThrough } from "./stage";
+
+/** What pictures need of the worker and of the element. */
+export interface PicturesHost {
+  readonly size: () => { readonly width: number; readonly height: number };
+  /** The worker sorts; sends everything again; draws exactly. */
+  readonly sort: (depth: DepthRow, serial: number) => void;
+  readonly resend: () => void;
+  readonly drawExactly: (camera: PinholeCamera) => void;
+  readonly lookedThrough: () => LookedThrough | null;
+  readonly cameraMoved: () => void;
+  /** Another renderer draws. */
+  readonly changed: () => void;
+  /** Whether one finger and the wheel are the page's: it scrolls. */
+  readonly cooperative: () => boolean;
+  /** Says how the camera is moved, for a moment. */
+  readonly hint: (text: string) => void;
+}
+
+/** Whether the kernel draws; null: where it is the faster one. */
+export type ExactChoice = boolean | null;
+
+/** A graphics card that takes so long for a picture, so many times in a row, is slower than the kernel. */
+const SLOW_MS = 300;
+const SLOW_PICTURES = 3;
+/** After so long a lost graphics card counts as gone. */
+const LOST_MS = 3000;
+
+export class Pictures {
+  readonly stage: Stage;
+  readonly elements: readonly HTMLCanvasElement[];
+  readonly #canvas = canvasOf("picture");
+  /** It lies over the other one, which takes what the pointer does. */
+  readonly #exactCanvas = canvasOf("picture exact");
+  /** null without WebGL2: then the kernel draws. */
+  #fast: WebGlRenderer | null;
+  #lostTimer = 0;
+  #choice: ExactChoice;
+  /** Slow pictures of the graphics card in a row, and of the kernel those that took longer still; what the last one of the first took. */
+  #slow = 0;
+  #slower = 0;
+  #fastMs = 0;
+  #judgedMs = 0;
+  #overlay: Overlay = "none";
+  readonly #detachPointer: () => void;
+  #exactly: ExactCanvas | null = null;
+  #begun: { readonly layout: TextureLayout; readonly header: StreamHeader } | null = null;
+
+  constructor(
+    private readonly host: PicturesHost,
+    choice: ExactChoice,
+  ) {
+    this.#choice = choice;
+    this.elements = [this.#canvas, this.#exactCanvas];
+    const restored = (): void => {
+      clearTimeout(this.#lostTimer);
+      host.resend();
+    };
+    this.#fast = fastRenderer(this.#canvas, restored, () => {
+      this.#lostTimer = window.setTimeout(() => {
+        this.#giveUpFast();
+      }, LOST_MS);
+    });
+    this.stage = new Stage(this.#rightRenderer(), host.size, host.sort, host.lookedThrough);
+    this.stage.navigation.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.#detachPointer = attachPointer(this.#canvas, this.stage.navigation, host);
+  }
+
+  get canChooseExact(): boolean {
+    return this.#fast !== null;
+  }
+
+  /** What draws for headsets; null without WebGL2. From now on it draws, whatever was chosen. */
+  forHeadset(): WebGlRenderer | null {
+    this.chooseExact(false);
+    return this.#fast;
+  }
+
+  get exact(): boolean {
+    return this.stage.renderer === this.#exactly;
+  }
+
+  /** What draws from now on begins with the whole frame. Whether another one does. */
+  chooseExact(choice: ExactChoice): boolean {
+    this.#choice = choice;
+    return this.#change();
+  }
+
+  set overlay(overlay: Overlay) {
+    this.#overlay = this.stage.overlay = overlay;
+    this.#change(); // the kernel draws none
+    this.stage.touch();
+  }
+
+  /**
+   * Where nobody has chosen: slow pictures of the graphics card give way to the kernel's, and those of the kernel that are slow,
+   * too, and slower, to the graphics card's again, for good. Asked once a picture.
+   */
+  judge(): void {
+    const { drawMs } = this.stage.renderer.times;
+    if (this.#choice !== null || this.#fast === null || drawMs === this.#judgedMs) return;
+    this.#judgedMs = drawMs;
+    if (this.exact) {
+      this.#slower = this.#fastMs > 0 && drawMs > Math.max(SLOW_MS, this.#fastMs) ? this.#slower + 1 : 0;
+    } else {
+      this.#slow = drawMs > SLOW_MS ? this.#slow + 1 : 0;
+      this.#fastMs = drawMs;
+    }
+    if (this.#change()) this.host.changed();
+  }
+
+  get #automatic(): boolean {
+    return this.#slower < SLOW_PICTURES && this.#overlay === "none" && (this.#fast?.inSoftware === true || this.#slow >= SLOW_PICTURES);
+  }
+
+  #change(): boolean {
+    const renderer = this.#rightRenderer();
+    if (renderer === this.stage.renderer) return false;
+    this.stage.renderer = renderer;
+    if (this.#begun !== null) renderer.begin(this.#begun.layout, this.#begun.header);
+    this.host.resend();
+    this.stage.touch();
+    return true;
+  }
+
+  begin(layout: TextureLayout, header: StreamHeader): void {
+    this.#begun = { layout, header };
+    this.stage.renderer.begin(layout, header);
+  }
+
+  /** A subject lies over the page, or over a colour; null: none was named. */
+  layBehind(background: string | null): void {
+    const clear = this.#begun?.header.subject ?? background !== null;
+    for (const canvas of this.elements) {
+      canvas.classList.toggle("clear", clear);
+      canvas.style.backgroundColor = clear ? (background ?? "") : "";
+    }
+  }
+
+  exactlyDrawn(picture: ExactPicture | null): void {
+    if (picture === null) this.#exactly?.failed();
+    else this.#exactly?.show(picture);
+  }
+
+  dispose(): void {
+    clearTimeout(this.#lostTimer);
+    this.#detachPointer();
+    this.stage.dispose();
+    this.#fast?.dispose();
+    this.#exactly?.dispose();
+    for (const canvas of this.elements) canvas.remove();
+  }
+
+  /** A graphics card that does not come back: the kernel draws from now on. */
+  #giveUpFast(): void {
+    this.#fast?.dispose();
+    this.#fast = null;
+    if (this.#change()) this.host.changed();
+  }
+
+  #rightRenderer(): Renderer {
+    const fast = (this.#choice ?? this.#automatic) ? null : this.#fast;
+    this.#exactCanvas.hidden = fast !== null;
+    this.#canvas.style.opacity = fast === null ? "0" : ""; // the other one may be transparent
+    if (fast !== null) return fast;
+    return (this.#exactly ??= new ExactCanvas(this.#exactCanvas, this.host.drawExactly));
+  }
+}
+
+function canvasOf(className: string): HTMLCanvasElement {
+  const canvas = document.createElement("canvas");
+  canvas.className = className;
+  return canvas;
+}
+
+function fastRenderer(canvas: HTMLCanvasElement, onRestored: () => void, onLost: () => void): WebGlRenderer | null {
+  try {
+    return createRenderer(canvas, onRestored, onLost);
+  } catch {
+    return null;
+  }
+}

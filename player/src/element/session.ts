@@ -1,0 +1,372 @@
+/** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
+import type { FrameInfo, FromWorker, ToWorker } from "../messages";
+import type { StreamHeader } from "../scene";
+import { Connection, FrameColumns } from "./connection";
+import type { PlayerEvent } from "./events";
+import type { Span } from "../player_api";
+import type { Pictures } from "./pictures";
+import { DEFAULT_FPS, Playback } from "./playback";
+
+const FOLLOW_MS = 1000;
+/** After so long a frame that was asked for is late. */
+const LATE_MS = 200;
+/** After it had to wait, playing goes on when so much is there. */
+const ENOUGH_SECONDS = 1;
+
+/** Where to begin: set before the header has come. */
+export type Start = { readonly seconds: number } | { readonly frame: number };
+
+export interface SessionHost {
+  readonly tell: (name: PlayerEvent) => void;
+  readonly wake: () => void;
+  readonly loading: (on: boolean) => void;
+  /** People are to see that something is waited for, and how much of it is there, from 0 to 1, where that is known. */
+  readonly busy: (on: boolean, share: number | null) => void;
+  /** Opens the stream anew. */
+  readonly reopen: () => void;
+  /** Says the worst of what is wrong, as long as it is. */
+  readonly warn: (text: string | null) => void;
+  /** The stream's header has come: cameras can be put up. */
+  readonly opened: (header: StreamHeader) => void;
+  readonly autoplay: () => boolean;
+}
+
+export class Session {
+  header: StreamHeader | null = null;
+  /** Of the frame in the picture. */
+  info: FrameInfo | null = null;
+  /** What went wrong, a sentence; null when nothing. */
+  error: string | null = null;
+  frames = new FrameColumns();
+  bytesRead = 0;
+  drawn = { count: 0, sortMs: 0 };
+  /** Frames whose bytes are there, from one up to, not including, another. */
+  buffered: readonly Span[] = [];
+  /** Whether playing waits for a frame that is late. */
+  waiting = false;
+  /** Where the next stream begins, as with <video>. */
+  start: Start | null = null;
+  readonly playback = new Playback();
+  #connection: Connection | null = null;
+  #pictures: Pictures | null = null;
+  #follow = false;
+  #requested = -1;
+  #requests = 0;
+  #seekRequest = -1;
+  /** A frame asked for that is not known yet; -1 for none. */
+  #seekLater = -1;
+  #followTimer = 0;
+  #lateTimer = 0;
+  #busy = false;
+  /** Why nothing comes from the network; null when nothing is wrong. */
+  #trouble: string | null = null;
+  /** Those who wait until playing has begun. */
+  #beginnings: { readonly begun: () => void; readonly refused: (reason: DOMException) => void }[] = [];
+  #notice: string | null = null;
+
+  constructor(private readonly host: SessionHost) {}
+
+  open(source: string, follow: boolean, pictures: Pictures): void {
+    this.#pictures = pictures;
+    this.#follow = follow;
+    this.host.loading(true);
+    this.host.tell("loadstart");
+    const { start } = this;
+    const first = start === null ? 0 : "frame" in start ? start.frame : null;
+    this.#requested = first ?? -1;
+    this.#connection = new Connection(
+      source,
+      follow,
+      first,
+      (message) => {
+        this.#receive(message);
+      },
+      (message) => {
+        this.fail(message);
+      },
+    );
+  }
+
+  close(): void {
+    clearTimeout(this.#followTimer);
+    clearTimeout(this.#lateTimer);
+    // Who was told to play before there was a stream plays the first one.
+    const playing = this.#connection === null && this.playback.playing;
+    this.#connection?.close();
+    this.#connection = null;
+    if (!playing) this.#refuse("AbortError", "another stream was opened, or the player has left the page");
+    const emptied = this.header !== null;
+    this.header = this.info = this.error = this.#notice = this.#trouble = null;
+    this.waiting = false;
+    this.buffered = [];
+    this.#setBusy(false);
+    this.warn();
+    this.frames = new FrameColumns();
+    this.#requested = this.#seekRequest = this.#seekLater = -1;
+    this.bytesRead = 0;
+    Object.assign(this.playback, { playing, ended: false, position: 0, frameCount: 0, complete: false });
+    if (emptied) this.host.tell("emptied");
+  }
+
+  /** The frame that is due, and parts of the next: that which was sought, even before anybody knows whether it is there. */
+  get position(): number {
+    if (this.start !== null) return "frame" in this.start ? this.start.frame : this.start.seconds * this.playback.fps;
+    return this.#seekLater >= 0 ? this.#seekLater : this.playback.position;
+  }
+
+  /** Whether a frame that was sought is still to come. */
+  get seeking(): boolean {
+    return this.#seekRequest >= 0;
+  }
+
+  send(message: ToWorker): void {
+    this.#connection?.send(message);
+  }
+
+  /** Goes on by some seconds, and asks for the frame that is due. */
+  advance(seconds: number): void {
+    const { playback } = this;
+    const wasPlaying = playback.playing;
+    if (this.waiting && this.#enough()) this.#goOn();
+    // Time begins with the first picture.
+    if (!this.waiting && this.info !== null) playback.advance(seconds, this.info.frame);
+    if (playback.frameCount > 0 && playback.due !== this.#requested) this.#request(playback.due);
+    if (!wasPlaying || !playback.ended) return;
+    this.host.tell("pause");
+    this.host.tell("ended");
+  }
+
+  /** Resolves once playing has begun; rejects, as that of <video>, with what is wrong. After an error it is tried again. */
+  play(): Promise<void> {
+    const { playback } = this;
+    if (this.error !== null) this.#again();
+    if (!playback.playing) {
+      if (playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
+      playback.playing = true;
+      playback.ended = false;
+      this.host.tell("play");
+      this.host.wake();
+      if (this.#begun) this.host.tell("playing");
+    }
+    if (this.#begun) return Promise.resolve();
+    return new Promise((begun, refused) => {
+      this.#beginnings.push({ begun, refused });
+    });
+  }
+
+  pause(): void {
+    this.waiting = false;
+    this.#refuse("AbortError", "playing was ended before it began");
+    if (!this.playback.playing) return;
+    this.playback.playing = false;
+    this.host.tell("pause");
+  }
+
+  /** Goes to a frame, counted in frames and parts of them. */
+  seek(frame: number): void {
+    const { playback } = this;
+    if (this.header === null || !Number.isFinite(frame)) return;
+    this.#seekLater = frame >= playback.frameCount && !playback.complete ? frame : -1;
+    playback.position = Math.max(0, Math.min(frame, playback.complete ? playback.frameCount : playback.frameCount - 1));
+    playback.ended = false;
+    this.host.tell("seeking");
+    this.#seekRequest = this.#requests + 1;
+    this.#request(playback.due);
+    this.host.wake();
+  }
+
+  fail(message: string): void {
+    this.error = message;
+    clearTimeout(this.#lateTimer);
+    this.host.loading(false);
+    this.#setBusy(false);
+    this.warn();
+    this.#refuse("NotSupportedError", message);
+    this.pause();
+    this.host.tell("error");
+  }
+
+  /** Says something of the stream until the worker says something else. */
+  notice(text: string | null): void {
+    this.#notice = text;
+    this.warn();
+  }
+
+  warn(): void {
+    this.host.warn(this.error ?? this.#trouble ?? this.info?.damage ?? this.#notice);
+  }
+
+  #receive(message: FromWorker): void {
+    switch (message.type) {
+      case "opened":
+        this.#opened(message);
+        break;
+      case "progress":
+        this.#progressed(message);
+        break;
+      case "frame":
+        this.#shown(message);
+        break;
+      case "order":
+        this.#pictures!.stage.order(message.draw);
+        this.#sorted(message.draw);
+        this.#recycle(message.draw.order);
+        break;
+      case "exact":
+        this.#pictures!.exactlyDrawn(message.picture);
+        if (message.problem !== null) this.notice(message.problem);
+        break;
+      case "notYet":
+        this.#requested = -1;
+        clearTimeout(this.#lateTimer);
+        break;
+      case "refreshed":
+        this.#followSoon();
+        break;
+      case "failed":
+        this.fail(message.message);
+    }
+    this.host.wake();
+  }
+
+  #opened({ header, layout, frames, complete }: Extract<FromWorker, { type: "opened" }>): void {
+    const { stage } = this.#pictures!;
+    this.header = header;
+    this.frames.append(frames);
+    this.playback.fps = header.fps ?? DEFAULT_FPS;
+    this.#pictures!.begin(layout, header);
+    this.host.opened(header);
+    stage.begin();
+    const { start } = this;
+    this.start = null;
+    this.#grown(complete);
+    if (start !== null) this.seek("frame" in start ? start.frame : start.seconds * this.playback.fps);
+    this.host.tell("loadedmetadata");
+    if (this.host.autoplay()) this.play().catch(() => undefined); // the notice says it
+    this.#followSoon();
+  }
+
+  #progressed(message: Extract<FromWorker, { type: "progress" }>): void {
+    const { bytesRead, buffered, complete, share, trouble } = message;
+    Object.assign(this, { bytesRead, buffered });
+    if (message.frames !== null) this.frames.append(message.frames);
+    for (const [frame, psnr] of message.psnr) this.frames.psnr.set(frame, psnr);
+    this.#grown(complete);
+    const stalled = this.#trouble === null && trouble !== null;
+    this.#trouble = trouble === null ? null : `Trying again: ${trouble}`;
+    this.notice(message.notices.at(-1) ?? null);
+    if (this.#busy || this.info === null) this.host.busy(true, share);
+    this.host.tell("progress");
+    if (stalled) this.host.tell("stalled");
+    if (complete && this.frames.count === 0 && this.error === null) {
+      this.fail(message.notices.at(-1) ?? "the stream holds no frame");
+    }
+  }
+
+  #grown(complete: boolean): void {
+    const { playback, frames } = this;
+    const longer = frames.count !== playback.frameCount;
+    playback.frameCount = frames.count;
+    playback.complete = complete;
+    if (longer) this.host.tell("durationchange");
+    if (this.#seekLater >= 0 && (this.#seekLater < frames.count || complete)) this.seek(this.#seekLater);
+  }
+
+  #shown(message: Extract<FromWorker, { type: "frame" }>): void {
+    const { info, update, draw } = message;
+    const first = this.info === null;
+    const steps = Math.abs(info.frame - (this.info?.frame ?? info.frame));
+    if (message.request >= 0) this.playback.note(info.decodeMs + info.packMs + draw.sortMs, steps);
+    this.info = info;
+    this.error = null;
+    if (info.frame === this.#requested || message.request >= this.#requests) clearTimeout(this.#lateTimer);
+    if (!this.waiting) this.#setBusy(false);
+    this.#pictures!.stage.load(update, draw);
+    this.#sorted(draw);
+    this.#recycle(draw.order, update?.base, update?.rest, update?.heat, update?.part?.places);
+    this.warn();
+    if (first) {
+      this.host.loading(false);
+      this.host.tell("loadeddata");
+      this.host.tell("canplay");
+    }
+    if (this.#beginnings.length > 0) {
+      for (const { begun } of this.#beginnings.splice(0)) begun();
+      this.host.tell("playing");
+    } else if (first && this.playback.playing) this.host.tell("playing");
+    this.host.tell("timeupdate");
+    if (this.#seekLater < 0 && this.#seekRequest >= 0 && message.request >= this.#seekRequest) {
+      this.#seekRequest = -1;
+      this.host.tell("seeked");
+    }
+  }
+
+  #sorted({ count, sortMs }: { readonly count: number; readonly sortMs: number }): void {
+    this.drawn = { count, sortMs };
+  }
+
+  #recycle(...arrays: (Uint32Array | Uint8Array | null | undefined)[]): void {
+    const buffers = arrays.flatMap((array) => (array ? [array.buffer as ArrayBuffer] : []));
+    const whole = buffers.filter((buffer) => buffer.byteLength > 0);
+    this.#connection?.send({ type: "recycle", buffers: whole }, whole);
+  }
+
+  get #begun(): boolean {
+    return this.info !== null && this.error === null;
+  }
+
+  /** What failed is asked for once more. */
+  #again(): void {
+    this.error = null;
+    this.warn();
+    if (this.header === null || this.frames.count === 0) this.host.reopen();
+    else this.#request(this.playback.due);
+  }
+
+  #refuse(name: string, message: string): void {
+    for (const { refused } of this.#beginnings.splice(0)) refused(new DOMException(message, name));
+  }
+
+  #late(): void {
+    this.#setBusy(true);
+    if (!this.playback.playing || this.waiting) return;
+    this.waiting = true;
+    this.host.tell("waiting");
+  }
+
+  #goOn(): void {
+    this.waiting = false;
+    this.#setBusy(false);
+    if (this.playback.playing) this.host.tell("playing");
+  }
+
+  /** Whether so much is there that playing will not have to wait again at once. */
+  #enough(): boolean {
+    const { due, fps, frameCount, rate } = this.playback;
+    if (this.info?.frame !== due) return false;
+    const until = Math.min(frameCount, Math.ceil(due + ENOUGH_SECONDS * fps * rate));
+    return this.buffered.some(([from, to]) => from <= due && to >= until);
+  }
+
+  #setBusy(on: boolean): void {
+    this.#busy = on;
+    this.host.busy(on, null);
+  }
+
+  #request(frame: number): void {
+    this.#requested = frame;
+    clearTimeout(this.#lateTimer);
+    this.#lateTimer = window.setTimeout(() => {
+      this.#late();
+    }, LATE_MS);
+    this.send({ type: "show", frame, request: ++this.#requests });
+  }
+
+  #followSoon(): void {
+    clearTimeout(this.#followTimer);
+    if (this.playback.complete || !this.#follow) return;
+    this.#followTimer = window.setTimeout(() => {
+      this.send({ type: "refresh" });
+    }, FOLLOW_MS);
+  }
+}

@@ -1,0 +1,34 @@
+/** Cameras as plain data: what draws and what moves them share it. */
+import type { LensModel } from "./lens";
+
+/** Size, focal lengths and principal point in pixels, and the nearest depth that is drawn. */
+export interface Lens {
+  readonly width: number;
+  readonly height: number;
+  readonly fx: number;
+  readonly fy: number;
+  readonly cx: number;
+  readonly cy: number;
+  readonly near: number;
+}
+
+/** A camera without a lens' distortion: pixels from the picture's top left corner, axes x right, y down, z forward. */
+export interface PinholeCamera extends Lens {
+  /** Three rows of four. */
+  readonly worldToCamera: readonly (readonly number[])[];
+  /** What the picture has beside that of the pinhole, if it is to look as it was recorded. */
+  readonly recording?: Recording | null;
+}
+
+/** What a picture has beside that of its pinhole camera. */
+export interface Recording {
+  /** null: no distortion. */
+  readonly lens: LensModel | null;
+  /** Multiply the odds v / (1 - v) of red, green and blue; null: nothing does. */
+  readonly odds: readonly [number, number, number] | null;
+  /** The camera's own picture, in pixels of the canvas; nothing was recorded beside it. */
+  readonly left: number;
+  readonly top: number;
+  readonly width: number;
+  readonly height: number;
+}

@@ -1,0 +1,227 @@
+// The element in a page that others wrote: moved about, under a strict policy, opened from the disk, in small places.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { picture, psnr, ready, show, started, until } from "./harness.mjs";
+
+let browser;
+before(async () => (browser = await started()));
+after(() => browser.close());
+
+/** Looks from beside, so that a view that was forgotten shows. */
+const lookAside = (page) =>
+  page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    const { worldToCamera: rows, ...lens } = player.currentCamera(200, 150);
+    player.lookFrom({ axes: rows.map((row) => row.slice(0, 3)), centre: [0.3, 0.1, -0.2] }, lens);
+  });
+
+for (const [how, move] of [
+  ["moved to another place", () => {
+    const place = document.createElement("div");
+    document.body.append(place);
+    place.append(document.querySelector("decogs-player"));
+  }],
+  ["taken out and put in again later", async () => {
+    const player = document.querySelector("decogs-player");
+    player.remove();
+    await new Promise((done) => setTimeout(done, 100));
+    document.body.append(player);
+  }],
+]) {
+  test(`an element that is ${how} keeps frame, camera and picture`, async () => {
+    const page = await browser.opened("long");
+    await ready(page);
+    await show(page, 61);
+    await lookAside(page);
+    await until(page, "!inside.stage.pending && !inside.stage.renderer.busy");
+    const before = await picture(page, 200, 150);
+    await page.evaluate(move);
+    await until(page, "player.info?.frame === 61 && !inside.stage.pending && !inside.stage.renderer.busy");
+    assert.ok(psnr(await picture(page, 200, 150), before) > 60);
+    assert.equal(await page.evaluate(() => document.querySelector("decogs-player").camera), "");
+    await show(page, 62);
+    assert.deepEqual(page.complaints, []);
+    await page.context().close();
+  });
+}
+
+test("an element that is moved while it plays goes on, and begins anew with another stream", async () => {
+  const page = await browser.opened("long", { query: "&loop" });
+  await ready(page);
+  const told = await page.evaluate(async () => {
+    const player = document.querySelector("decogs-player");
+    const next = (name) => new Promise((done) => player.addEventListener(name, done, { once: true }));
+    await player.play();
+    document.body.prepend(player);
+    const { paused, error } = player;
+    player.remove();
+    player.src = "/data/degree1.dgs";
+    document.body.append(player);
+    await next("loadeddata");
+    return [paused, error, player.frames.count, player.info.frame];
+  });
+  assert.deepEqual(told.slice(0, 2), [false, null]);
+  assert.equal(told[3], 0);
+  await page.context().close();
+});
+
+/** A page of one's own at an address of the player's, with headers. */
+async function own(html, { headers = {}, width = 400, height = 300, ...more } = {}) {
+  const context = await browser.browser.newContext({ viewport: { width, height }, ...more });
+  const page = await context.newPage();
+  page.complaints = [];
+  page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
+  await page.route("**/page/own.html", (route) => route.fulfill({ contentType: "text/html", headers, body: html }));
+  await page.goto(`${browser.server.address}/page/own.html`);
+  return page;
+}
+const PLAYER = '<script type="module" src="decogs-player.js"></script>';
+
+test("under a policy that forbids styles in the page, the player has its size and its controls", async () => {
+  const policy = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; worker-src 'self'; img-src 'self' data:";
+  const page = await own(`<!doctype html>${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player>`, { headers: { "content-security-policy": policy } });
+  // The policy forbids the harness's expressions, too.
+  await page.waitForFunction(() => document.querySelector("decogs-player").info && document.querySelector("decogs-player").shadowRoot.querySelector(".bar"));
+  const [ratio, inside, radius] = await page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    const bar = player.shadowRoot.querySelector(".bar");
+    const [outer, inner] = [player.getBoundingClientRect(), bar.getBoundingClientRect()];
+    return [outer.width / outer.height, inner.top > outer.top && inner.bottom < outer.bottom, getComputedStyle(bar).borderRadius];
+  });
+  assert.ok(Math.abs(ratio - 16 / 9) < 0.02, `${ratio}`);
+  assert.deepEqual([inside, radius], [true, "12px"]);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("opened from the disk, or without its script, the page says what to do", async () => {
+  const context = await browser.browser.newContext();
+  const disk = await context.newPage();
+  await disk.goto(`file://${process.env.DECOGS_PAGE}/index.html`);
+  await disk.locator("text=python3 -m http.server").waitFor({ state: "visible" });
+  const lost = await context.newPage();
+  await lost.route("**/decogs-player.js", (route) => route.fulfill({ status: 404 }));
+  await lost.goto(`${browser.server.address}/page/index.html?src=/data/long.dgs`);
+  await lost.locator("text=must lie beside this page").waitFor({ state: "visible" });
+  await context.close();
+});
+
+test("a graphics card that is lost for good gives way to the exact picture", async () => {
+  const page = await browser.opened("long");
+  await ready(page);
+  await page.evaluate(() => {
+    const { stage } = document.querySelector("decogs-player")[Symbol.for("decogs.inside")] ?? document.querySelector("decogs-player");
+    stage.renderer.canvas.getContext("webgl2").getExtension("WEBGL_lose_context").loseContext();
+  });
+  await until(page, "player.exact && !player.canChooseExact && !inside.stage.pending && !inside.stage.renderer.busy");
+  await show(page, 61);
+  assert.equal((await picture(page, 200, 150)).width, 200);
+  await page.context().close();
+});
+
+const PLACES = [[667, 320, true], [740, 360, true], [360, 640, true], [375, 667, true], [320, 568, true], [320, 180, false], [640, 360, false]];
+for (const [width, height, touch] of PLACES) {
+  test(`all of bar and menu can be reached in ${width}x${height}${touch ? ", by finger" : ""}`, async () => {
+    const page = await browser.opened("long", { width, height, touch });
+    await ready(page);
+    await until(page, "player.shadowRoot.querySelector('[name=camera] option')");
+    const stray = (selector) =>
+      page.evaluate((selector) => {
+        const shown = [...document.querySelector("decogs-player").shadowRoot.querySelectorAll(selector)].filter((each) => each.checkVisibility());
+        return shown.filter((each) => {
+          each.scrollIntoView({ block: "nearest" });
+          const { left, right, top, bottom } = each.getBoundingClientRect();
+          const seen = each.getRootNode().elementFromPoint((left + right) / 2, (top + bottom) / 2);
+          return left < 0 || top < 0 || right > innerWidth || bottom > innerHeight || !(each.contains(seen) || seen?.contains(each));
+        }).map((each) => each.className || each.name || each.textContent);
+      }, selector);
+    assert.deepEqual(await stray(".row button, .row select, .timeline"), []);
+    assert.ok((await page.locator("[name=full]").boundingBox()).width >= 36);
+    await page.locator("[name=menu]").click();
+    assert.deepEqual(await stray(".menu label, .menu button"), []);
+    await page.context().close();
+  });
+}
+
+test("Escape closes the menu from a field, and the focus goes back to what opened it", async () => {
+  const page = await browser.opened("long", { width: 640, height: 480 });
+  await ready(page);
+  await page.locator("[name=menu]").click();
+  await page.locator("[name=overlay]").focus();
+  await page.keyboard.press("Escape");
+  await until(page, "player.shadowRoot.querySelector('.menu').hidden");
+  assert.equal(await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.activeElement?.name), "menu");
+  await page.evaluate(() => document.querySelector("decogs-player").focus());
+  await page.keyboard.press("?");
+  await until(page, "!player.shadowRoot.querySelector('.help').hidden");
+  await page.keyboard.press("Escape");
+  assert.equal(await page.evaluate(() => document.activeElement.tagName), "DECOGS-PLAYER");
+  await page.keyboard.press("ArrowRight");
+  await until(page, "player.info.frame === 1");
+  await page.context().close();
+});
+
+test("where elements get no full screen, the player fills the window, and Escape leaves it", async () => {
+  const page = await own(`<!doctype html><style>decogs-player { width: 200px; margin: 50px }</style><script>delete Element.prototype.requestFullscreen</script>${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player>`);
+  await ready(page);
+  await page.locator("[name=full]").click();
+  const size = () => page.evaluate(() => [document.querySelector("decogs-player").clientWidth, document.querySelector("decogs-player").clientHeight]);
+  await until(page, "player.clientWidth === 400");
+  assert.deepEqual(await size(), [400, 300]);
+  await page.keyboard.press("Escape");
+  await until(page, "player.clientWidth === 200");
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("with cooperative gestures the wheel and one finger scroll the page; Ctrl and two fingers move the camera", async () => {
+  const html = `<!doctype html><meta name="viewport" content="width=device-width">${PLAYER}<decogs-player gestures="cooperative" style="width: 100%; height: 260px" src="/data/dome.dgs"></decogs-player><div style="height: 2000px"></div>`;
+  const page = await own(html, { hasTouch: true, isMobile: true });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.notice') !== null");
+  const at = () => page.evaluate(() => [scrollY, ...document.querySelector("decogs-player").view.pose.centre]);
+  const before = await at();
+  await page.mouse.move(200, 100);
+  await page.mouse.wheel(0, 80);
+  await page.waitForFunction(() => scrollY > 40);
+  assert.match(await page.locator(".notice").textContent(), /Ctrl/);
+  await page.evaluate(() => scrollTo(0, 0));
+  const client = await page.context().newCDPSession(page);
+  const touch = (type, points) => client.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+  const swipe = async (from, step) => {
+    await touch("touchStart", from);
+    for (let i = 1; i <= 6; i++) await touch("touchMove", from.map(([x, y]) => [x + i * step[0], y + i * step[1]]));
+    await touch("touchEnd", []);
+    await page.waitForTimeout(600);
+  };
+  await swipe([[200, 200]], [0, -20]);
+  const scrolled = await at();
+  assert.ok(scrolled[0] > 40, `scrolled by ${scrolled[0]}`);
+  assert.deepEqual(scrolled.slice(1), before.slice(1));
+  await page.evaluate(() => scrollTo(0, 0));
+  await swipe([[150, 100], [250, 100]], [15, 0]);
+  const circled = await at();
+  assert.ok(Math.hypot(...circled.slice(1).map((value, i) => value - before[i + 1])) > 0.05, "circled");
+  await page.context().close();
+});
+
+test("zooming out ends, and what is no overlay is refused", async () => {
+  const page = await browser.opened("dome");
+  await ready(page);
+  await page.mouse.move(100, 12);
+  for (let i = 0; i < 60; i++) await page.mouse.wheel(0, 400);
+  await page.waitForTimeout(900);
+  const [distance, refused] = await page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    const { pose, pivot, size } = (player[Symbol.for("decogs.inside")] ?? player).stage.navigation;
+    try {
+      player.overlay = "bogus";
+    } catch (error) {
+      return [Math.hypot(...pose.centre.map((value, i) => value - pivot[i])) / size, error.name];
+    }
+    return [0, null];
+  });
+  assert.ok(distance > 5 && distance < 9, `${distance}`);
+  assert.equal(refused, "RangeError");
+  await page.context().close();
+});

@@ -1,0 +1,128 @@
+// Headsets: one that iwer simulates.
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { after, before, test } from "node:test";
+import { pixelsOf, psnr, ready, show, started, until } from "./harness.mjs";
+
+const IWER = createRequire(import.meta.url).resolve("iwer").replace(/\/lib\/.*$/, "/build/iwer.min.js");
+let browser;
+before(async () => (browser = await started()));
+after(() => browser.close());
+
+/** A page with a headset, and a view that is level and asymmetric enough to tell eyes apart. */
+async function withHeadset(stereo) {
+  const page = await browser.opened("none", { width: 640, height: 480 });
+  const begin = (stereo) => {
+    const { XRDevice, metaQuest3 } = globalThis.IWER;
+    globalThis.device = new XRDevice(metaQuest3, { stereoEnabled: stereo });
+    globalThis.device.installRuntime({ forceInstall: true });
+    const ask = navigator.xr.requestSession.bind(navigator.xr);
+    navigator.xr.requestSession = async (...given) => (globalThis.session = await ask(...given));
+  };
+  await page.addInitScript({ content: `${readFileSync(IWER, "utf8")}\n(${begin})(${stereo});` });
+  await page.goto(`${browser.server.address}/page/index.html?src=/data/degree1.dgs&exact=off`);
+  page.complaints.length = 0;
+  await ready(page);
+  return page;
+}
+
+/** The picture of each eye, and the cameras of both, in the frame after the next. */
+const eyes = (page) =>
+  page.evaluate(async () => {
+    const player = document.querySelector("decogs-player");
+    const { session } = globalThis;
+    const space = await session.requestReferenceSpace("local");
+    const frames = (count) => new Promise((done) => {
+      const tick = (_, frame) => (--count > 0 ? session.requestAnimationFrame(tick) : done(read(frame)));
+      const read = (frame) => {
+        const layer = session.renderState.baseLayer;
+        const { gl } = { gl: player[Symbol.for("decogs.inside")].stage.renderer.canvas.getContext("webgl2") };
+        return frame.getViewerPose(space).views.filter((view) => layer.getViewport(view).width > 0).map((view) => {
+          const { x, y, width, height } = layer.getViewport(view);
+          const bytes = new Uint8Array(4 * width * height);
+          gl.readPixels(x, y, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+          const canvas = new OffscreenCanvas(width, height);
+          const image = new ImageData(width, height);
+          for (let row = 0; row < height; row++) image.data.set(bytes.subarray(4 * width * (height - 1 - row), 4 * width * (height - row)), 4 * width * row);
+          canvas.getContext("2d").putImageData(image, 0, 0);
+          return canvas.convertToBlob().then(async (blob) => ({
+            width,
+            height,
+            projection: [...view.projectionMatrix],
+            position: [view.transform.position.x, view.transform.position.y, view.transform.position.z],
+            png: await new Promise((done) => {
+              const reader = new FileReader();
+              reader.onload = () => done(reader.result);
+              reader.readAsDataURL(blob);
+            }),
+          }));
+        });
+      };
+      session.requestAnimationFrame(tick);
+    });
+    return Promise.all(await frames(4));
+  });
+
+for (const stereo of [false, true]) {
+  test(`${stereo ? "two eyes see" : "one eye sees"} what a camera in their place sees`, async () => {
+    const page = await withHeadset(stereo);
+    const start = await page.evaluate(async () => {
+      const player = document.querySelector("decogs-player");
+      player.lookFrom({ axes: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], centre: [0.1, -0.1, -0.2] }, player.view.lens);
+      const { size } = player[Symbol.for("decogs.inside")].stage.navigation;
+      await player.enterXr("immersive-vr");
+      return { size, ...player.view };
+    });
+    await page.waitForTimeout(500);
+    const seen = await eyes(page);
+    assert.equal(seen.length, stereo ? 2 : 1);
+    await page.evaluate(() => document.querySelector("decogs-player").leaveXr());
+    const head = seen.reduce((sum, { position }) => sum.map((value, i) => value + position[i] / seen.length), [0, 0, 0]);
+    for (const { width, height, projection: p, position, png } of seen) {
+      const expected = await page.evaluate(async ({ p, width, height, centre }) => {
+        const player = document.querySelector("decogs-player");
+        const lens = { width, height, fx: (p[0] * width) / 2, fy: (p[5] * height) / 2, cx: ((1 - p[8]) * width) / 2, cy: ((1 + p[9]) * height) / 2, near: 0 };
+        player.lookFrom({ axes: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], centre }, lens);
+        const blob = await player.capture(width, height);
+        return new Promise((done) => {
+          const reader = new FileReader();
+          reader.onload = () => done(reader.result);
+          reader.readAsDataURL(blob);
+        });
+      }, { p, width, height, centre: start.pose.centre.map((value, i) => value + ((start.size / 2.5) * (position[i] - head[i])) * (i === 0 ? 1 : -1)) });
+      const decibels = psnr(await pixelsOf(page, png), await pixelsOf(page, expected));
+      // The near planes differ by Gaussians that almost touch the eyes.
+      assert.ok(decibels > 40, `${decibels.toFixed(1)} dB`);
+    }
+    assert.deepEqual(page.complaints, []);
+    await page.context().close();
+  });
+}
+
+test("the menu offers the headset; the trigger plays, frames go on, and the page is as it was afterwards", async () => {
+  const page = await withHeadset(true);
+  await page.evaluate(() => (document.querySelector("decogs-player").loop = true));
+  await page.locator("[name=menu]").click();
+  await page.locator("[name=vr]").click();
+  await page.waitForFunction(() => globalThis.session !== undefined);
+  await page.evaluate(() => {
+    globalThis.device.controllers.right.updateButtonValue("trigger", 1);
+    setTimeout(() => globalThis.device.controllers.right.updateButtonValue("trigger", 0), 200);
+  });
+  await until(page, "!player.paused && player.info.frame > 0");
+  await page.evaluate(() => globalThis.session.end());
+  await until(page, "!player.exact && !inside.stage.pending");
+  await page.evaluate(() => document.querySelector("decogs-player").pause());
+  await show(page, 2);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("without a headset, entering is refused in a sentence", async () => {
+  const page = await browser.opened("degree1");
+  await ready(page);
+  const told = await page.evaluate(() => document.querySelector("decogs-player").enterXr("immersive-vr").then(() => "entered", String));
+  assert.notEqual(told, "entered");
+  await page.context().close();
+});
