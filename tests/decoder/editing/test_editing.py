@@ -103,7 +103,7 @@ def test_memory_does_not_grow_with_the_take(segmented_stream, tmp_path: Path) ->
 
         def count(done: int, total: int) -> None:
             if done not in found:
-                found[done] = sum(isinstance(thing, State) for thing in gc.get_objects())
+                found[done] = sum(type(thing) is State for thing in gc.get_objects())
 
         edit(segmented_stream.path, tmp_path / "out.dgs", [Trim(frames)], on_frame=count)
         return max(found.values())
