@@ -105,7 +105,7 @@ class BackdropStage:
 
 @dataclass(frozen=True)
 class PlainStage(BackdropStage):
-    """A stage with a plain backdrop all around."""
+    """A stage whose floor and walls are plain."""
 
     def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> PlainStage:
         """The stage with the hull of a later frame, from the ``used`` ones of its pictures."""
@@ -144,16 +144,16 @@ def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
     """
     if frame.alpha:
         return subject_alone(views, frame.alpha)
-    if len(views) < _MIN_VIEWS or not _plain_share_reaches(_MIN_ROOM_SHARE, views, frame.training):
+    share = _plain_share(views, frame.training) if len(views) >= _MIN_VIEWS else 0.0
+    if share < _MIN_ROOM_SHARE:
         return None
     seen = [stage_view(*each) for each in zip(views, frame.training, strict=True)]
     plain = [plain_pixels(view.picture) & view.recorded for view in seen]
-    stage = _plain_stage if _plain_share_reaches(_MIN_PLAIN_SHARE, views, frame.training) else _plain_room
-    return stage(seen, plain)
+    return _plain_stage(seen, plain) if share >= _MIN_PLAIN_SHARE else _plain_room(seen, plain)
 
 
 def _plain_stage(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainStage | None:
-    """The stage whose backdrop is ``plain`` all around."""
+    """The stage whose floor and walls are ``plain``."""
     plates = [plate_of(view.picture, mask) for view, mask in zip(seen, plain, strict=True)]
     subjects = [_subject_view(*each) for each in zip(seen, plates, strict=True)]
     backdrops = [
@@ -163,7 +163,7 @@ def _plain_stage(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> Plain
     surfaces = find_surfaces(backdrops)
     if _span(surfaces, seen) < _MIN_SPAN_DEGREES:
         return None
-    spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
+    spacing = _spacing(surfaces)
     xyz, normals = surfaces.points(spacing)
     colours = surface_colours(backdrops, xyz, normals)
     return PlainStage(Hull(subjects), surfaces, backdrops, xyz.astype(np.float32), colours, spacing)
@@ -177,7 +177,7 @@ def _plain_room(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainR
     surfaces = find_room(walls, whole)
     if surfaces is None or _largest_gap(surfaces, seen) > _MAX_ROOM_GAP_DEGREES:
         return None
-    spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
+    spacing = _spacing(surfaces)
     xyz, normals = surfaces.points(spacing)
     on_floor = normals @ surfaces.axes[2] > 0.5
     on_wall = ~on_floor & plain_points(walls, xyz, normals)
@@ -191,7 +191,13 @@ def _plain_room(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainR
     return PlainRoom(hull, surfaces, shown, xyz[kept].astype(np.float32), colours[kept], spacing, beside)
 
 
+def _spacing(surfaces: Surfaces) -> float:
+    """Of so many hexagonally packed points on the surfaces."""
+    return float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
+
+
 def _largest_gap(surfaces: Surfaces, seen: Sequence[StageView]) -> float:
+    """Degrees between neighbouring cameras around the stage, at most."""
     gaps, _ = surfaces.gaps(np.array([camera_centre(view.camera) for view in seen]))
     return float(gaps.max())
 
@@ -199,19 +205,19 @@ def _largest_gap(surfaces: Surfaces, seen: Sequence[StageView]) -> float:
 def _span(surfaces: Surfaces, seen: Sequence[StageView]) -> float:
     """Degrees between the two cameras that see the middle from most different sides."""
     ways = np.array([camera_centre(view.camera) for view in seen]) - surfaces.middle
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12)
     return float(np.degrees(np.arccos(np.clip(ways @ ways.T, -1, 1).min())))
 
 
-def _plain_share_reaches(least: float, views: Sequence[View], pictures: Sequence[FloatArray]) -> bool:
-    """Whether this share of the median picture is plain. Once most have less, nothing is asked of the others."""
+def _plain_share(views: Sequence[View], pictures: Sequence[FloatArray]) -> float:
+    """Plain share of the median picture; 0 once most have too little for a room: the others are not looked at."""
     shares: list[float] = []
     for view, picture in zip(views, pictures, strict=True):
         small = stage_view(view, picture, _DECISION_PIXELS)
         shares.append(float((plain_pixels(small.picture) & small.recorded).mean()))
-        if 2 * sum(share < least for share in shares) > len(views):
-            return False
-    return bool(np.median(shares) >= least)
+        if 2 * sum(share < _MIN_ROOM_SHARE for share in shares) > len(views):
+            return 0.0
+    return float(np.median(shares))
 
 
 def _subject_view(view: StageView, plate: FloatArray, beside: BoolArray | None = None) -> SubjectView:

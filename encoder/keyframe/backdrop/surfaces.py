@@ -133,10 +133,7 @@ def _sphere(radius: float, spacing: float) -> tuple[F64, F64]:
 
 def find_surfaces(views: Sequence[PlainView]) -> Surfaces:
     """The floor and the wall on which plain pixels of all views agree best, or a far sphere."""
-    centres = np.array([camera_centre(view.camera) for view in views])
-    forward = np.array([view.camera.world_to_camera[2, :3] for view in views])
-    middle = _looked_at(centres, forward)
-    distance = float(np.median(np.linalg.norm(centres - middle, axis=1)))
+    centres, middle, distance = _around(views)
     best: tuple[float, Surfaces] | None = None
     for up in _upward(views, centres):
         axes = _axes(up)
@@ -149,9 +146,7 @@ def find_surfaces(views: Sequence[PlainView]) -> Surfaces:
 
 def find_room(walls: Sequence[PlainView], whole: Sequence[PlainView]) -> Surfaces | None:
     """The wall on which plain pixels agree, around a floor on which the ``whole`` pictures do; None unless both do."""
-    centres = np.array([camera_centre(view.camera) for view in walls])
-    middle = _looked_at(centres, np.array([view.camera.world_to_camera[2, :3] for view in walls]))
-    distance = float(np.median(np.linalg.norm(centres - middle, axis=1)))
+    centres, middle, distance = _around(walls)
     for up in _upward(walls, centres):
         axes = _axes(up)
         floor = _Search(whole, middle, axes, distance).textured_floor(float(((centres - middle) @ up).min()))
@@ -159,6 +154,13 @@ def find_room(walls: Sequence[PlainView], whole: Sequence[PlainView]) -> Surface
         if floor is not None and wall is not None and wall[2] >= _MIN_SHARPNESS:
             return Surfaces(middle, axes, floor, wall[1])
     return None
+
+
+def _around(views: Sequence[PlainView]) -> tuple[F64, F64, float]:
+    """The cameras' centres (V, 3), the middle of what they look at (3,), and how far they usually are from it."""
+    centres = np.array([camera_centre(view.camera) for view in views])
+    middle = _looked_at(centres, np.array([view.camera.world_to_camera[2, :3] for view in views]))
+    return centres, middle, float(np.median(np.linalg.norm(centres - middle, axis=1)))
 
 
 def _looked_at(centres: F64, forward: F64) -> F64:
