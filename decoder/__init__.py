@@ -10,6 +10,7 @@ from .damage import Damage, DamageWarning
 from .decoding import DecodeReport, decode
 from .exporting import ExportReport, export
 from .frame import DecodedFrame
+from .sound.extracting import SoundReport, decode_sound
 from .stream import Stream, open_stream
 from .stream_info import StreamInfo, info
 from .viewing.notebook import View, view
@@ -21,10 +22,12 @@ __all__ = [
     "DecodeReport",
     "DecodedFrame",
     "ExportReport",
+    "SoundReport",
     "Stream",
     "StreamInfo",
     "View",
     "decode",
+    "decode_sound",
     "export",
     "info",
     "open_stream",
