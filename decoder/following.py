@@ -132,8 +132,9 @@ class GrowingStream:
                 errors.append(self._accepted(found))
                 if self.ended:
                     break
-            elif found.kind == PacketKind.SOUND and self._sound is not None:
-                self._hear(found, self._sound, errors)
+            elif found.kind == PacketKind.SOUND:
+                if self._sound is not None and found.frame == expected - 1:
+                    self._hear(found, self._sound, errors)
             elif found.kind in FRAME_KINDS or found.kind == PacketKind.END:
                 repeated = found.kind in FRAME_KINDS and found.frame < expected
                 disorder = _disorder(found, expected)

@@ -151,7 +151,7 @@ class Stream:
         except StreamError as error:
             self._pass_over(error)
             return ()
-        return sound_behind(reader, None if after is None else after.offset, self.header.sound, self._pass_over)
+        return sound_behind(frame, reader, None if after is None else after.offset, self.header.sound, self._pass_over)
 
     def _opening(self, start: int, packets: FramePackets) -> DecodedFrame:
         """The last keyframe at or before ``start`` that can be reconstructed."""

@@ -13,9 +13,13 @@ FrameSound = tuple[SoundPacket, ...]
 
 
 def sound_behind(
-    reader: PacketReader, end: int | None, tracks: Sequence[SoundTrack], pass_over: Callable[[StreamError], None]
+    frame: int,
+    reader: PacketReader,
+    end: int | None,
+    tracks: Sequence[SoundTrack],
+    pass_over: Callable[[StreamError], None],
 ) -> FrameSound:
-    """The sound that ``reader``, which stands behind a frame's packet, comes to before the stream offset ``end``.
+    """The sound of ``frame`` that ``reader``, which stands behind its packet, comes to before the stream offset ``end``.
 
     ``end``: where the next frame's packet lies, None behind the last. ``pass_over`` is called with what is wrong with a
     packet; its sound is not there then.
@@ -26,7 +30,7 @@ def sound_behind(
             packet = reader.next()
             if packet is None or packet.kind in FRAME_KINDS:
                 break
-            if packet.kind == PacketKind.SOUND:
+            if packet.kind == PacketKind.SOUND and packet.frame == frame:
                 try:
                     found.append(read_sound(packet, tracks))
                 except StreamError as error:

@@ -467,10 +467,8 @@ SOUND_TRACKS: list[dict[str, Any]] = [
 ]
 NO_SOUND: tuple[Any, ...] = (
     None,
-    SOUND_TRACKS[:1] * 17,
     [*SOUND_TRACKS, {"codec": "aac", "channels": 2}],
     [*SOUND_TRACKS, {"codec": "opus", "channels": 3}],
-    [*SOUND_TRACKS, {"codec": "opus", "channels": 1, "position": [0, 0, "0"]}],
     [*SOUND_TRACKS, {"codec": "opus", "channels": 1, "position": [0, 0, 1.1e12]}],
 )
 """Lists of tracks that are out of their bounds."""
@@ -490,15 +488,20 @@ def good_sounds() -> Iterator[Vector]:
     stream.sound(0, 0, [b"\xff"], track=1)
     stream.skip()
     stream.sound(1, 1608, [SILENCE, bytes(1276)])
-    for payload in (b"", b"\0", struct.pack("<Bi", 0, 0), struct.pack("<Bi", 2, 0) + b"\1\0\xff"):
-        stream.add(SOUND, 1, payload, flags=0)
-    for payload in (b"\0\0", b"\1\0\xff\0\0", b"\2\0\xff", b"\1\0\xff\1", b"\xfd\4" + bytes(1277)):
-        stream.add(SOUND, 1, struct.pack("<Bi", 0, 0) + payload, flags=0)
     stream.skip()
+    for frame in (1, 3):
+        stream.add(SOUND, frame, struct.pack("<Bi", 0, 0) + b"\3\0" + SILENCE, flags=0)
     stream.sound(2, 9_000_000, [SILENCE])
-    stream.sound(7, -3_000_000, [SILENCE])
     stream.finish()
     yield stream.good("good/sound", indexes=[True])
+    stream = heard(SOUND_TRACKS, 25)
+    for payload in (b"", b"\0", struct.pack("<Bi", 0, 0), struct.pack("<Bi", 2, 0) + b"\1\0\xff"):
+        stream.add(SOUND, 0, payload, flags=0)
+    for payload in (b"\0\0", b"\1\0\xff\0\0", b"\2\0\xff", b"\1\0\xff\1", b"\xfd\4" + bytes(1277)):
+        stream.add(SOUND, 0, struct.pack("<Bi", 0, 0) + payload, flags=0)
+    stream.sound(0, 5, [SILENCE])
+    stream.finish()
+    yield stream.good("good/sound-that-is-damaged", indexes=[True])
     yield heard([{**SOUND_TRACKS[0], "invented_later": 1}] * 16, 1).good("good/sound-of-many-tracks")
     for number, tracks in enumerate(NO_SOUND):
         yield heard(tracks, 24).good(f"good/sound-none-{number}")

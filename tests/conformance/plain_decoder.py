@@ -72,7 +72,7 @@ def decode(data: bytes, limits: Limits | None = None) -> Decoded:
                 elif packet.kind == END:
                     check_end(packet, len(frames))
                 elif packet.kind == SOUND:
-                    sounds += sound(packet, header)
+                    sounds += sound(packet, header, len(frames) - 1)
                 elif packet.kind in FRAME_KINDS:
                     states.append(frame(packet, header, states, limits))
                     frames.append(packet)

@@ -281,12 +281,12 @@ class Sound:
     blocks: list[bytes]
 
 
-def sound(packet: Packet, header: Header) -> list[Sound]:
-    """What a SOUND packet holds; nothing where it is damaged, which costs its own sound alone."""
+def sound(packet: Packet, header: Header, frame: int) -> list[Sound]:
+    """What a SOUND packet behind this frame holds; nothing where it is damaged, which costs its own sound alone."""
     fields, blocks = Fields(packet.payload), []
     try:
         track, offset = fields.u8(), fields.i32()
-        if track >= len(header.sound):
+        if track >= len(header.sound) or packet.frame != frame:
             refuse("bad-payload")
         while not blocks or fields.position < len(packet.payload):
             length = int.from_bytes(fields.take(2), "little")
