@@ -21,8 +21,9 @@ RATE = 48_000
 """Samples a second of every track, and the unit of all times here."""
 BLOCK = 960
 """Samples of a coded block: 20 ms."""
-PRE_ROLL = 4 * BLOCK
-"""Samples before a place from which a decoder is to be run to be right there. Source: RFC 7845, section 4.6."""
+PRE_ROLL = 10 * BLOCK
+"""Samples before a place from which a decoder is run to be right there: what it does not know of the past halves with
+every block (RFC 6716, section 4.3.2.1), so that a thousandth is left."""
 CONTINUES = 48
 """Samples by which a packet may miss the end of the one before and still go on with it: rounding of frames' starts."""
 MAX_TRACKS = 16

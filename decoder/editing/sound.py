@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
@@ -79,17 +80,34 @@ class Played:
 
 def played(take: Take, plays: Sequence[Played], fps: float) -> Hear:
     """The take's sound as new frames of this rate play it: coded anew, higher or lower with its speed."""
-    tracks = take.header.sound
-    made: list[FrameSound] = []
     voices = [
         coded(_voice(take, number, plays, fps), track.channels, fps, track=number)
-        for number, track in enumerate(tracks)
+        for number, track in enumerate(take.header.sound)
     ]
+    return remembered(tuple(chain.from_iterable(own)) for own in zip(*voices, strict=True))
+
+
+def with_file(take: Take, path: Path, channels: int, begin: float, fps: float) -> Hear:
+    """The take's sound and, as one more track, that of a file from ``begin`` seconds on."""
+    from decogs.formats.soundtracks import read_samples
+
+    number = len(take.header.sound)
+    added = remembered(coded(read_samples(path, channels, begin=begin), channels, fps, track=number))
+
+    def hear(start: int, stop: int) -> Iterator[FrameSound]:
+        return (old + new for old, new in zip(take.hear(start, stop), added(start, stop), strict=True))
+
+    return hear
+
+
+def remembered(coming: Iterator[FrameSound]) -> Hear:
+    """Sound that can be made in order only, from frame 0 on; coded, it takes 60 MB an hour."""
+    made: list[FrameSound] = []
 
     def hear(start: int, stop: int) -> Iterator[FrameSound]:
         for frame in range(start, stop):
             while len(made) <= frame:
-                made.append(tuple(chain.from_iterable(next(voice) for voice in voices)))
+                made.append(next(coming))
             yield made[frame]
 
     return hear

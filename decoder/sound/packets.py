@@ -19,7 +19,7 @@ def sound_behind(
     tracks: Sequence[SoundTrack],
     pass_over: Callable[[StreamError], None],
 ) -> FrameSound:
-    """The sound of ``frame`` that ``reader``, which stands behind its packet, comes to before the stream offset ``end``.
+    """The sound of ``frame`` that ``reader``, which stands behind its packet, comes to before the offset ``end``.
 
     ``end``: where the next frame's packet lies, None behind the last. ``pass_over`` is called with what is wrong with a
     packet; its sound is not there then.

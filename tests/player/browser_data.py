@@ -30,8 +30,7 @@ from decogs.formats.splats import Splats
 from decogs.formats.up_direction import up_of
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parent))
-from sound_stream import with_sound
+from sounding_streams import with_sound
 
 CANARY = Path(__file__).parents[1] / "canary"
 POSE = {

@@ -8,7 +8,7 @@ export const RATE = 48_000;
 /** Samples of a block. */
 export const BLOCK = 960;
 /** Samples before a place from which a decoder is to be run to be right there. */
-const PRE_ROLL = 4 * BLOCK;
+const PRE_ROLL = 10 * BLOCK;
 /** Samples by which a packet may miss the end of the one before and still go on with it. */
 export const CONTINUES = 48;
 const MAX_TRACKS = 16;

@@ -1,4 +1,4 @@
-"""A stream with sound for the browser's tests: a tone that is another one in every second."""
+"""Streams with sound: a tone that is another one in every second."""
 
 from __future__ import annotations
 
