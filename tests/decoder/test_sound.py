@@ -1,4 +1,4 @@
-"""Sound of a stream: to the sample from any frame on, silence where it is damaged, tracks together, told by decogs-info."""
+"""Sound of a stream: to the sample from any frame on, silence where damaged, tracks together, told by decogs-info."""
 
 from __future__ import annotations
 
