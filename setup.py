@@ -184,9 +184,7 @@ def how_to_get_one() -> str:
         return "install Apple's (xcode-select --install)"
     if sys.platform == "win32":
         return "install g++ 11 or later (of MinGW-w64)"
-    return (
-        "install g++ 11 or later (Debian, Ubuntu: apt install g++; Fedora: dnf install gcc-c++) or clang 12 or later"
-    )
+    return "install g++ 11 or later (Debian, Ubuntu: apt install g++; Fedora: dnf install gcc-c++) or clang 12 or later"
 
 
 def compiles_kernels(command: list[str]) -> bool:
@@ -230,8 +228,9 @@ def kernels() -> list[Extension]:
     ]
 
 
-setup(
-    ext_modules=kernels(),
-    cmdclass={"build_ext": BuildKernels},
-    options={"bdist_wheel": {"py_limited_api": "cp310"} | ({"plat_name": TARGET.tag} if TARGET else {})},
-)
+if __name__ == "__main__":
+    setup(
+        ext_modules=kernels(),
+        cmdclass={"build_ext": BuildKernels},
+        options={"bdist_wheel": {"py_limited_api": "cp310"} | ({"plat_name": TARGET.tag} if TARGET else {})},
+    )
