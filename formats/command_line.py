@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, NoReturn
 
 from .callbacks import OnProgress
 from .errors import DecogsError, TryAgainError, UsageError
+from .extras import what_to_install
 from .progress import open_progress
 
 USER_ERROR = 2
@@ -147,6 +148,11 @@ def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = 
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             what += "; make room, or write elsewhere"
         return _say(f"{program}: error: {what}", USER_ERROR)
+    except ModuleNotFoundError as error:
+        what_to_do = what_to_install(error)
+        if what_to_do is None:
+            raise
+        return _say(f"{program}: error: {what_to_do}", USER_ERROR)
     except Exception as error:
         if not _memory_is_out(error):
             raise

@@ -1,8 +1,8 @@
 """Checks the libraries of wheels, whatever platform they are for: ``python release/check.py WHEEL ...``.
 
 What auditwheel, delvewheel and delocate ask, each on its own system, asked here of all: that a library is of the
-wheel's processor and system, needs no other libraries than every such system has, in no newer version than the wheel says, and
-offers the loader the functions that it asks for. LIEF reads ELF, PE and Mach-O alike.
+wheel's processor and system, needs no other libraries than every such system has, in no newer version than the wheel
+says, and offers the loader the functions that it asks for. LIEF reads ELF, PE and Mach-O alike.
 """
 
 from __future__ import annotations

@@ -26,10 +26,10 @@ from .connections import GrowingVideo, SendingCamera, check_address
 from .detection import reader_at
 from .feeds import Feed, FolderFeed
 from .fields import Fields, read_toml
-from .in_step import in_step
 from .rig import Rig, assemble_rig
 from .sender_times import SharedClock
 from .sources import FrameSource
+from .steps import in_step
 from .video_feed import Connection, VideoFeed
 
 LAYOUT = "live"

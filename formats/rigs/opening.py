@@ -13,26 +13,10 @@ from ..pictures import PICTURE_SUFFIXES, Picture
 from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
 from .detection import calibration_files, reader_at
-from .in_step import in_step
-from .live import LiveSource, dropped_in, open_live, stop_waiting
-from .rig import Points, Rig, without_cameras
+from .live import LiveSource, stop_waiting
+from .rig import Rig
 from .sources import FrameSource, PictureSource, list_folder
-
-__all__ = [
-    "FrameSource",
-    "Points",
-    "Rig",
-    "dropped_in",
-    "files_of",
-    "files_with",
-    "in_step",
-    "open_live",
-    "open_recordings",
-    "open_rig",
-    "read_frames",
-    "stop_waiting",
-    "without_cameras",
-]
+from .steps import in_step
 
 
 def open_rig(path: str | os.PathLike[str]) -> Rig:
