@@ -107,43 +107,50 @@ class BuildKernels(build_ext):
         self.parallel = self.parallel or os.cpu_count() or 1
 
     def build_extensions(self) -> None:
-        """All sets, or by DECOGS_KERNELS=native those that this machine runs: the plain one and its widest.
+        """The plain set and the widest that this machine runs; by DECOGS_KERNELS=all, and for another platform, all.
 
         The plain one is what is left if the installation moves to a lesser machine.
         """
-        if os.environ.get("DECOGS_KERNELS") == "native" and not TARGET:
+        if os.environ.get("DECOGS_KERNELS") != "all" and not TARGET:
             asked = next(ext for ext in self.extensions if ext.name == f"{ASKED}_base")
             self.build_extension(asked)
-            widest = list(INSTRUCTION_SETS)[ctypes.CDLL(self.get_ext_fullpath(asked.name)).decogs_instruction_set()]
+            # Loaded as a copy: the library itself is about to be built once more.
+            with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+                copied = shutil.copy(self.get_ext_fullpath(asked.name), folder)
+                widest = list(INSTRUCTION_SETS)[ctypes.CDLL(copied).decogs_instruction_set()]
             self.extensions = [ext for ext in self.extensions if ext.name.endswith(("_base", f"_{widest}"))]
         super().build_extensions()
 
     def build_extension(self, ext: Extension) -> None:
         library = Path(self.get_ext_fullpath(ext.name))
-        library.parent.mkdir(parents=True, exist_ok=True)
         compiling = [*self.command, *ext.extra_compile_args, *(f"-I{folder}" for folder in ext.include_dirs)]
         compiling += [*given("CPPFLAGS"), *given("CXXFLAGS"), "-c", *ext.sources]
         linking = [*self.command, *ext.extra_link_args, *given("LDFLAGS")]
         kept = kept_as(compiling + linking, [*ext.sources, *sorted(ext.depends)])
         if kept is not None and kept.exists():
-            shutil.copyfile(kept, library)
+            put(kept, library)
             return
         with tempfile.TemporaryDirectory() as folder:
             compiled, linked = Path(folder, "kernel.o"), Path(folder, library.name)
             self.spawn([*compiling, "-o", str(compiled)])
             # Linked without the instruction set: what comes from the C++ library is for every machine.
             self.spawn([*linking, str(compiled), "-o", str(linked)])
-            shutil.copyfile(linked, library)
-            library.chmod(0o755)
+            put(linked, library)
         if kept is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            growing = kept.with_suffix(".part")
-            shutil.copyfile(library, growing)
-            growing.replace(kept)
+            put(library, kept)
 
     def get_ext_filename(self, fullname: str) -> str:
         name = super().get_ext_filename(fullname)
         return name if TARGET is None else str(Path(*fullname.split("."))) + TARGET.suffix
+
+
+def put(source: Path, target: Path) -> None:
+    """Copies a library in one step: what runs with the one that was there goes on with that."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    growing = target.with_name(f"{target.name}.{os.getpid()}.part")
+    shutil.copyfile(source, growing)
+    growing.chmod(0o755)
+    growing.replace(target)
 
 
 def given(variable: str) -> list[str]:
@@ -155,7 +162,7 @@ def kept_as(commands: list[str], files: list[str]) -> Path | None:
     """Where the cache has what these commands make of these files, or will have it."""
     if "DECOGS_KERNEL_CACHE" not in os.environ:
         return None
-    made = hashlib.sha256("\n".join(commands).encode())
+    made = hashlib.sha256("\n".join(word for word in commands if word != sys.executable).encode())
     for path in files:
         made.update(Path(path).read_bytes())
     return Path(os.environ["DECOGS_KERNEL_CACHE"], made.hexdigest()[:16])

@@ -22,6 +22,7 @@ from typing import Any, BinaryIO, NoReturn
 from .callbacks import OnProgress
 from .errors import DecogsError, TryAgainError, UsageError
 from .extras import what_to_install
+from .operating_systems import ENDING_SIGNALS
 from .progress import open_progress
 
 USER_ERROR = 2
@@ -260,7 +261,7 @@ def _raised_signals() -> Iterator[None]:
         raise _Ended(number)
 
     # What is ignored, as SIGHUP under nohup, or is handled by whoever runs this in their program, stays so.
-    ours = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    ours = [n for n in ENDING_SIGNALS if signal.getsignal(n) is signal.SIG_DFL]
     for number in ours:
         signal.signal(number, unwind)
     try:
