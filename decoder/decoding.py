@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, Union
+from typing import TYPE_CHECKING, BinaryIO, Union
 
 from decogs.codec.header import StreamHeader
 from decogs.formats.callbacks import OnProgress, OnWarning
@@ -39,8 +39,10 @@ from .picture_output import PictureSink, open_sink
 from .shots import Colour, Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
 from .sound.samples import heard_in
 from .stream import Stream
-from .subject import AnyStream, SubjectOfStream
 from .video_output import VideoSettings
+
+if TYPE_CHECKING:
+    from .subject import AnyStream
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
 """A file of cameras, one camera for every frame, one per frame, or a path."""
@@ -131,6 +133,8 @@ def decode(
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count, max_memory)
         shown: AnyStream = opened
         if subject is not None:
+            from .subject import SubjectOfStream
+
             shown = SubjectOfStream(opened, Path(subject), every, on_warning)
             read += shown.files_read()
         chosen, shots = _chosen_shots(shown, wanted, frames)

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import os
 import re
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -56,10 +57,8 @@ _LONGEST_VIEW = 200
 _SLOWEST, _FASTEST = 0.01, 1000.0
 """Frames per second that every video coder takes; its time stamps have 16 bits of fraction."""
 
-_OPENCV_CHANNELS = [2, 1, 0, 3]
-
-_PNG_EFFORT = 3
-"""zlib level of PNG files: a little larger than the default's, three times as fast."""
+_PNG_STRATEGY = zlib.Z_RLE
+"""How PNG files are deflated: a little larger than by the default, four times as fast."""
 
 
 class PictureSink(ABC):
@@ -225,12 +224,10 @@ def _picture(rendering: Rendering, has_alpha: bool) -> NDArray[np.uint8]:
 
 
 def _save_png(path: Path, picture: NDArray[np.uint8]) -> None:
-    import cv2
+    from PIL import Image
 
-    in_order = np.ascontiguousarray(picture[..., _OPENCV_CHANNELS[: picture.shape[2]]])
-    _, data = cv2.imencode(".png", in_order, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_EFFORT])
     try:
-        path.write_bytes(data.tobytes())
+        Image.fromarray(picture).save(path, "png", compress_type=_PNG_STRATEGY)
     except OSError as error:
         raise UsageError(
             f"{path.name}: cannot be written ({error.strerror}); free some space or choose another output"

@@ -27,12 +27,13 @@ from decogs.formats.command_line import (
 )
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.frame_ranges import frame_range
-from decogs.formats.rigs import Rig, open_live, open_rig
 
 from .input.mattes.options import add_matte_options, matte_choice
 from .synchronisation.commands import add_sync_option, rig_in_step
 
 if TYPE_CHECKING:
+    from decogs.formats.rigs import Rig
+
     from .job import EncodeJob
     from .output.observer import EncodeObserver
     from .output.reports import EncodeReport
@@ -442,6 +443,8 @@ def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObs
 
 def _rig(options: argparse.Namespace) -> Rig | str:
     """The rig's folder, or the rig whose cameras are recording, with the effects that frames decide for themselves."""
+    from decogs.formats.rigs import open_live
+
     from .option_texts import seconds_per_frame
     from .settings.effects import PRESET_EFFECTS
 
@@ -463,6 +466,8 @@ def _rig(options: argparse.Namespace) -> Rig | str:
 def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:
     """The rig, opened where a bitrate needs its frame rate or its starts matter, bytes per frame, and how these were
     asked for."""
+    from decogs.formats.rigs import open_rig
+
     bitrate, megabytes = options.bitrate, options.max_mb_per_frame
     if bitrate is not None and megabytes is not None:
         raise UsageError("--bitrate and --max-mb-per-frame are one budget in two units; drop one of the two")
