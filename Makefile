@@ -47,7 +47,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check wheels shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
+.PHONY: help setup demo test lint type layers wheel wheel-check wheels release shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
 	blender-addon blender-test clean
 
 help: ## list what can be made
@@ -112,7 +112,7 @@ player-wasm: $(ZIG_ENV)/ready ## compile what is WebAssembly of that page; after
 
 $(ZIG_ENV)/ready:
 	$(PYTHON) -m venv $(ZIG_ENV)
-	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief
+	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief packaging
 	@touch $@
 
 # Its unit tests are among pytest's. Without Node, or where its packages cannot be had (no network), all of them are skipped.
@@ -142,6 +142,10 @@ wheels: $(ZIG_ENV)/ready ## build the sdist and a wheel for every platform into 
 	rm -rf $(WHEELS)
 	$(ZIG_ENV)/bin/python release/wheels.py $(WHEELS)
 	$(ZIG_ENV)/bin/python release/check.py $(WHEELS)/*.whl
+
+# Twice, of what is committed: a release is one that anyone can build again (docs/releasing.md).
+release: $(ZIG_ENV)/ready player/node_modules/ready ## build all that is published into build/release, twice, and compare the bytes
+	$(ZIG_ENV)/bin/python release/release.py build/release
 
 shell-files: $(READY) ## write the man pages and completions in share/ anew; after a change of any option
 	$(BIN)/python share/build.py
