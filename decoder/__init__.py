@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from .exporting import ExportReport as ExportReport
     from .exporting import export as export
     from .frame import DecodedFrame as DecodedFrame
+    from .sound.extracting import SoundReport as SoundReport
+    from .sound.extracting import decode_sound as decode_sound
     from .stream import Stream as Stream
     from .stream import open_stream as open_stream
     from .stream_info import StreamInfo as StreamInfo
@@ -34,6 +36,8 @@ _HOMES = {
     "ExportReport": "exporting",
     "export": "exporting",
     "DecodedFrame": "frame",
+    "SoundReport": "sound.extracting",
+    "decode_sound": "sound.extracting",
     "Stream": "stream",
     "open_stream": "stream",
     "StreamInfo": "stream_info",

@@ -85,6 +85,12 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
+    group.add_argument(
+        "--audio",
+        metavar="A",
+        help="sound for the stream: a camera's name, auto (the camera whose sound is clearest), a file, which begins "
+        "with the rig's first frame, or none (default)",
+    )
     add_sync_option(group)
     group.add_argument(
         "--exclude",
@@ -373,7 +379,19 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
         option_names[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
-    same = ["settings", "scale", "holdout", "exclude", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
+    same = [
+        "settings",
+        "audio",
+        "scale",
+        "holdout",
+        "exclude",
+        "effects",
+        "keyframe",
+        "segment",
+        "closed",
+        "resume",
+        "metrics",
+    ]
     same += ["seed", "threads", "device", "max_memory", "log", "convergence_log"]
     job = EncodeJob(
         rig,
@@ -434,8 +452,9 @@ def _rig(options: argparse.Namespace) -> Rig | str:
         raise UsageError("give a rig's folder, or `live` and the file of the cameras that are recording")
     if options.live is None:
         return str(options.rig_dir) if options.sync is None else rig_in_step(options)
-    if options.sync is not None:
-        raise UsageError(f"`live`: it does not go with `sync` {options.sync}; drop one of the two")
+    for name in ("sync", "audio"):
+        if getattr(options, name) is not None:
+            raise UsageError(f"`live`: it does not go with `{name}` {getattr(options, name)}; drop one of the two")
     if options.effects is None:
         options.effects = ",".join(PRESET_EFFECTS)
     if options.effects.startswith("auto"):  # which looks at frames of the whole take

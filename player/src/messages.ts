@@ -6,7 +6,7 @@
  * always belongs to the frame sent last.
  */
 import type { PinholeCamera } from "./geometry/camera";
-import type { CameraCorrection, FrameKind, StreamHeader } from "./scene";
+import type { CameraCorrection, FrameKind, SoundFrame, StreamHeader } from "./scene";
 
 /** Depth of a point along the view: x, y, z weights and an offset, the last row of world-to-camera. */
 export type DepthRow = readonly [number, number, number, number];
@@ -26,6 +26,8 @@ export type ToWorker =
   | { readonly type: "recycle"; readonly buffers: readonly ArrayBuffer[] }
   /** Draw the scene with the decoder's kernel; answered by an "exact". */
   | { readonly type: "exact"; readonly camera: PinholeCamera }
+  /** The sound of frames from one up to, not including, another; answered by a "sound" of the same `request`. */
+  | { readonly type: "sound"; readonly from: number; readonly to: number; readonly request: number }
   | { readonly type: "close" };
 
 /** A picture that the decoder's kernel drew, RGBA. */
@@ -147,5 +149,6 @@ export type FromWorker =
   | { readonly type: "refreshed"; readonly grown: boolean }
   /** `picture` null: there is none, and `problem` says why, if something is wrong. */
   | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null }
+  | { readonly type: "sound"; readonly request: number; readonly frames: readonly SoundFrame[] }
   /** `request` null: the stream cannot be opened at all. */
   | { readonly type: "failed"; readonly request: number | null; readonly message: string };

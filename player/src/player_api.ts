@@ -72,6 +72,9 @@ export interface PlayerApi extends HTMLElement {
   /** The frame that is due, counted from 0. */
   currentFrame: number;
   playbackRate: number;
+  /** Of a stream that has sound, from 0 to 1. */
+  volume: number;
+  muted: boolean;
   loop: boolean;
   controls: boolean;
   overlay: Overlay;

@@ -11,6 +11,7 @@ import style from "./style.css";
 import { Statistics } from "./statistics";
 import { Timeline } from "./timeline";
 import { timeText } from "./time_text";
+import { SoundControls } from "../sound/controls";
 
 const IDLE_MS = 2600;
 const NOTICE_MS = 2600;
@@ -31,6 +32,7 @@ export class Panels {
   private readonly timeline: Timeline;
   private readonly statistics: Statistics;
   private readonly comparison: Comparison;
+  private readonly sound: SoundControls;
   private readonly closers: readonly HTMLElement[];
   private refreshing = false;
   private camerasOf: unknown = null;
@@ -57,6 +59,7 @@ export class Panels {
     this.timeline = new Timeline(player, this.part(".timeline"));
     this.statistics = new Statistics(player, this.part(".figures"));
     this.comparison = new Comparison(player, this.part(".recording"), this.part(".divider"));
+    this.sound = new SoundControls(player, this.part(".sound"));
     this.closers = [this.part(".menu"), this.part(".help")];
     this.listen();
   }
@@ -278,6 +281,7 @@ export class Panels {
     this.field("menu").setAttribute("aria-expanded", String(!this.part(".menu").hidden));
     this.updateLegend();
     this.timeline.refresh();
+    this.sound.refresh();
   }
 
   private updateCameras(): void {

@@ -6,6 +6,7 @@ import type { PlayerEvent } from "./events";
 import type { Span } from "../player_api";
 import type { Pictures } from "./pictures";
 import { DEFAULT_FPS, Playback } from "./playback";
+import { LateSound } from "../sound/late";
 
 const FOLLOW_MS = 1000;
 /** After so long a frame that was asked for is late. */
@@ -47,6 +48,14 @@ export class Session {
   /** Where the next stream begins, as with <video>. */
   start: Start | null = null;
   readonly playback = new Playback();
+  readonly sound = new LateSound(
+    (message) => {
+      this.send(message);
+    },
+    (text) => {
+      this.notice(text);
+    },
+  );
   #connection: Connection | null = null;
   #pictures: Pictures | null = null;
   #follow = false;
@@ -94,6 +103,7 @@ export class Session {
     const playing = this.#connection === null && this.playback.playing;
     this.#connection?.close();
     this.#connection = null;
+    this.sound.close();
     if (!playing) this.#refuse("AbortError", "another stream was opened, or the player has left the page");
     const emptied = this.header !== null;
     this.header = this.info = this.error = this.#notice = this.#trouble = null;
@@ -128,8 +138,11 @@ export class Session {
     const { playback } = this;
     const wasPlaying = playback.playing;
     if (this.waiting && this.#enough()) this.#goOn();
-    // Time begins with the first picture.
-    if (!this.waiting && this.info !== null) playback.advance(seconds, this.info.frame);
+    // Time begins with the first picture; where there is sound, it is that of the sound.
+    const passed = this.sound.elapsed() ?? seconds;
+    if (!this.waiting && this.info !== null) playback.advance(passed, this.info.frame);
+    if (playback.playing && !this.waiting && this.info !== null && !this.seeking) this.sound.keep(playback);
+    else this.sound.rest();
     if (playback.frameCount > 0 && playback.due !== this.#requested) this.#request(playback.due);
     if (!wasPlaying || !playback.ended) return;
     this.host.tell("pause");
@@ -144,6 +157,7 @@ export class Session {
       if (playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
       playback.playing = true;
       playback.ended = false;
+      this.sound.begin();
       this.host.tell("play");
       this.host.wake();
       if (this.#begun) this.host.tell("playing");
@@ -159,6 +173,7 @@ export class Session {
     this.#refuse("AbortError", "playing was ended before it began");
     if (!this.playback.playing) return;
     this.playback.playing = false;
+    this.sound.rest();
     this.host.tell("pause");
   }
 
@@ -216,6 +231,9 @@ export class Session {
         this.#pictures!.exactlyDrawn(message.picture);
         if (message.problem !== null) this.notice(message.problem);
         break;
+      case "sound":
+        this.sound.receive(message);
+        break;
       case "notYet":
         this.#requested = -1;
         clearTimeout(this.#lateTimer);
@@ -236,6 +254,7 @@ export class Session {
     this.playback.fps = header.fps ?? DEFAULT_FPS;
     this.#pictures!.begin(layout, header);
     this.host.opened(header);
+    this.sound.open(header);
     stage.begin();
     const { start } = this;
     this.start = null;
