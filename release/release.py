@@ -18,7 +18,7 @@ import zipfile
 from pathlib import Path
 
 import tomllib
-from wheels import ROOT, commit_time
+from wheels import ROOT
 
 _EARLIEST = (1980, 1, 1, 0, 0, 0)
 SUMS = "SHA256SUMS"
@@ -31,27 +31,31 @@ def main() -> int:
     parser.add_argument("--once", action="store_true", help="do not build a second time to compare")
     options = parser.parse_args()
     _check_clean()
-    first = build(options.folder.resolve())
+    commit = _git("rev-parse", "HEAD").strip()
+    first = build(options.folder.resolve(), commit)
     print(first, end="", flush=True)
     if options.once:
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        second = build(Path(folder, "again"))
+        second = build(Path(folder, "again"), commit)
     differ = sorted(set(first.splitlines()) ^ set(second.splitlines()))
     print("\n".join(["the second build differs:", *differ]) if differ else "the second build has the same bytes")
     return 1 if differ else 0
 
 
-def build(folder: Path) -> str:
-    """Everything, from the sources that are committed; returns the checksums, a line a file."""
+def build(folder: Path, commit: str) -> str:
+    """Everything, from the sources of a commit; returns the checksums, a line a file."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     # Each build compiles for itself.
     environment = {k: v for k, v in os.environ.items() if k != "DECOGS_KERNEL_CACHE"}
-    environment |= {"SOURCE_DATE_EPOCH": commit_time(), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment |= {
+        "SOURCE_DATE_EPOCH": _git("log", "-1", "--format=%ct", commit).strip(),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     with tempfile.TemporaryDirectory() as exported:
         sources = Path(exported)
-        _export(sources)
+        _export(commit, sources)
         version = tomllib.loads((sources / "pyproject.toml").read_text("utf-8"))["project"]["version"]
 
         def run(*command: str | Path, cwd: Path = sources) -> None:
@@ -75,19 +79,21 @@ def build(folder: Path) -> str:
 
 
 def _check_clean() -> None:
-    told = ["git", "-C", str(ROOT), "status", "--porcelain"]
-    changed = subprocess.run(told, check=True, capture_output=True, text=True).stdout.splitlines()
+    changed = _git("status", "--porcelain").splitlines()
     if changed:
         sys.exit(f"release/release.py: {changed[0][3:]} is not committed; commit or remove what git status lists")
 
 
-def _export(folder: Path) -> None:
-    packed = subprocess.run(["git", "-C", str(ROOT), "archive", "HEAD"], check=True, capture_output=True).stdout
-    with tempfile.TemporaryFile() as file:
-        file.write(packed)
-        file.seek(0)
-        with tarfile.open(fileobj=file) as archive:
+def _export(commit: str, folder: Path) -> None:
+    with tempfile.TemporaryDirectory() as packed:
+        file = Path(packed, "sources.tar")
+        _git("archive", "-o", str(file), commit)
+        with tarfile.open(file) as archive:
             archive.extractall(folder, filter="tar")
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", "-C", ROOT, *words], check=True, capture_output=True, text=True).stdout
 
 
 def _pack_report(folder: Path, target: Path) -> None:
