@@ -73,7 +73,7 @@ def _python_packages(project: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for scope, lines in (("required", project["dependencies"]), ("optional", optional)):
         for requirement in map(Requirement, lines):
             name = canonicalize_name(requirement.name)
-            if name in seen or (requirement.marker and not requirement.marker.evaluate(PYTHON)):
+            if name in ("decogs", *seen) or (requirement.marker and not requirement.marker.evaluate(PYTHON)):
                 continue
             seen.add(name)
             purl = f"pkg:pypi/{name}@{pins[name]}"
