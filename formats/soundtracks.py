@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,7 +99,7 @@ def read_samples(path: Path, channels: int, *, begin: float = 0.0, picture: int 
         resampler = av.AudioResampler(format="fltp", layout=("mono", "stereo")[channels - 1], rate=FULL_RATE)
         at = round(begin * FULL_RATE)
         tolerance = 0
-        for frame in container.decode(track):
+        for frame in chain(container.decode(track), [None]):  # which has what the resampler holds back
             for part in resampler.resample(frame):
                 time = float(part.pts * part.time_base) if part.pts is not None and part.time_base else None
                 zero = time or 0.0 if zero is None else zero

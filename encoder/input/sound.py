@@ -108,6 +108,8 @@ def _clearest(cameras: dict[str, FrameSource]) -> str | None:
         if sound is not None and len(sound.samples) >= 2 * _WINDOW:
             whole = sound.samples[: len(sound.samples) // _WINDOW * _WINDOW].astype(np.float64).reshape(-1, _WINDOW)
             energies = (whole**2).mean(axis=1)
+            if energies.max() <= _SILENCE:
+                continue
             is_clipped = bool((np.abs(whole) >= 1).mean() > _CLIPPED)
             found[name] = (not is_clipped, float(energies.mean() / max(np.percentile(energies, 10), _SILENCE)))
     return max(found, key=lambda name: found[name], default=None)
