@@ -86,6 +86,11 @@ def sound_channels(path: Path) -> int | None:
         return None if track is None else min(track.codec_context.channels, 2) or 2
 
 
+def sound_title(path: Path) -> str:
+    """The file's name as a text that any program can hold."""
+    return path.name.encode("utf-8", "replace").decode()
+
+
 def read_samples(path: Path, channels: int, *, begin: float = 0.0, picture: int | None = None) -> Iterator[FloatArray]:
     """The sound of a file (channels, N), at `FULL_RATE`, in pieces of at most a second; gaps are silence.
 

@@ -15,7 +15,7 @@ from decogs.decoder.sound.packets import FrameSound
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import FrameSource, Rig
 from decogs.formats.rigs.sources import CutSource
-from decogs.formats.soundtracks import RATE, read_samples, read_sound, sound_channels
+from decogs.formats.soundtracks import RATE, read_samples, read_sound, sound_channels, sound_title
 from decogs.formats.videos import VideoSource
 
 AUTO, NONE = "auto", "none"
@@ -73,7 +73,7 @@ def sound_source(
     channels = sound_channels(path)
     if channels is None:
         raise UsageError(f"`audio` {audio}: has no sound; name a file that has, or a camera")
-    return SoundSource(path, SoundTrack(channels, path.name), rig.fps, first / rig.fps)
+    return SoundSource(path, SoundTrack(channels, sound_title(path)), rig.fps, first / rig.fps)
 
 
 def _of_camera(name: str, source: FrameSource, fps: float, first: int) -> SoundSource:

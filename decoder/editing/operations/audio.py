@@ -54,7 +54,7 @@ class Audio(Operation):
         return replace(take, header=replace(take.header, sound=tuple(tracks))).with_note(told)
 
     def _added(self, take: Take, path: Path) -> Take:
-        from decogs.formats.soundtracks import sound_channels
+        from decogs.formats.soundtracks import sound_channels, sound_title
 
         fps = take.header.fps
         if fps is None or fps < SLOWEST:
@@ -63,7 +63,7 @@ class Audio(Operation):
         if channels is None:
             raise UsageError(f"{path}: has no sound; name a file that has")
         hear = with_file(take, path, channels, self.begin, fps)
-        header = replace(take.header, sound=(*take.header.sound, SoundTrack(channels, path.name)))
+        header = replace(take.header, sound=(*take.header.sound, SoundTrack(channels, sound_title(path))))
         return replace(take, header=header, hear=hear, sources=(*take.sources, path))
 
     @staticmethod
