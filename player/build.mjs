@@ -19,7 +19,7 @@ const bundles = {
   "decogs-recorded": "draw/recorded_pass",
   "decogs-xr": "xr/show",
   // A worker of several files, or WebAssembly beside it, is more than bundlers can be trusted with.
-  ...(forPackage ? { "decogs-decoder": "decoder" } : { "decogs-exact": "worker/exact_pictures" }),
+  ...(forPackage ? { "decogs-decoder": "decoder" } : { "decogs-exact": "worker/exact_pictures", "decogs-ply": "export/ply" }),
 };
 
 const late = {

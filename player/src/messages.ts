@@ -26,6 +26,8 @@ export type ToWorker =
   | { readonly type: "recycle"; readonly buffers: readonly ArrayBuffer[] }
   /** Draw the scene with the decoder's kernel; answered by an "exact". */
   | { readonly type: "exact"; readonly camera: PinholeCamera }
+  /** Give the frame that is shown as a .ply; answered by a "ply". */
+  | { readonly type: "ply" }
   | { readonly type: "close" };
 
 /** A picture that the decoder's kernel drew, RGBA. */
@@ -147,5 +149,7 @@ export type FromWorker =
   | { readonly type: "refreshed"; readonly grown: boolean }
   /** `picture` null: there is none, and `problem` says why, if something is wrong. */
   | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null }
+  /** null: there is none, and `problem` says why. */
+  | { readonly type: "ply"; readonly bytes: Uint8Array<ArrayBuffer> | null; readonly problem: string }
   /** `request` null: the stream cannot be opened at all. */
   | { readonly type: "failed"; readonly request: number | null; readonly message: string };

@@ -96,6 +96,8 @@ export interface PlayerApi extends HTMLElement {
   currentCamera(width?: number, height?: number): PinholeCamera | null;
   /** A PNG of the picture, as large as the element or of so many pixels. */
   capture(width?: number, height?: number): Promise<Blob>;
+  /** The frame in the picture as a .ply of 3D Gaussians, in the world that the stream is shown in. */
+  ply(): Promise<Blob>;
   /** Looks through a camera of the rig, by its place in `header.cameras`. */
   lookThrough(index: number, atOnce?: boolean): void;
   /** The camera before or after the one looked through last. */

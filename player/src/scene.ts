@@ -5,6 +5,8 @@
  * the page as it is.
  */
 
+import type { Similarity } from "./geometry/similarity";
+
 /** Kinds of frames, as packets name them (SPEC section 3). */
 export type FrameKind = "key" | "delta" | "skip";
 
@@ -72,6 +74,18 @@ export interface StreamHeader {
   readonly corrected: ReadonlyMap<string, readonly string[]>;
   /** Whether this is a subject without its surroundings: what it does not cover is not black but nothing. */
   readonly subject: boolean;
+  readonly presentation: Presentation;
+}
+
+/** How a stream wants to be shown (SPEC section 4). null and the empty text: it does not say. */
+export interface Presentation {
+  readonly title: string;
+  /** The frame that stands for the stream. */
+  readonly poster: number | null;
+  /** The camera to begin with, by name. */
+  readonly firstView: string | null;
+  /** Takes scene and cameras as they are stored to the world that the stream is shown in. */
+  readonly transform: Similarity | null;
 }
 
 /** What is known of a frame without decoding it: from the index packet, or from packet headers seen so far. */

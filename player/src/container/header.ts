@@ -4,6 +4,7 @@ import type { CameraColours, Lattice, RigCamera, StreamHeader } from "../scene";
 import { refuse } from "./errors";
 import { JsonNumber, parseJson, type JsonObject, type JsonValue } from "./json";
 import { MAX_CAMERAS, MAX_HEADER_BYTES, MAX_IMAGE_SIDE } from "./limits";
+import { readPresentation } from "./presentation";
 
 const MAX_TEXT = 65_536;
 const MAX_LIST = 1024;
@@ -38,6 +39,7 @@ export function readHeader(payload: Uint8Array): StreamHeader {
     heldOut,
     corrected: readCorrected(members, effects),
     subject: readFlag(members, "subject"),
+    presentation: readPresentation(members.get("presentation"), cameras.map(({ name }) => name)),
   };
   checkTexts(members);
   checkCameras(header);

@@ -39,6 +39,7 @@ export function markup(): string {
   <label class="check"><input type="checkbox" name="figures"> Figures</label>
   <hr>
   <button type="button" name="picture">Save picture</button>
+  <button type="button" name="ply" title="The frame's Gaussians, for other viewers">Save frame as .ply</button>
   <button type="button" name="pose">Copy camera as pose.json</button>
   <button type="button" name="link">Copy link to this view</button>
   <button type="button" name="embed">Copy code to embed it</button>

@@ -159,10 +159,15 @@ export class Panels {
   }
 
   async savePicture(): Promise<void> {
+    await this.save(this.player.capture(), `${this.player.camera || "view"}_${this.frameText()}.png`);
+  }
+
+  /** Gives what is made, once it is, to whoever looks at the page, as a file. */
+  private async save(made: Promise<Blob>, name: string): Promise<void> {
     try {
       const link = document.createElement("a");
-      link.href = URL.createObjectURL(await this.player.capture());
-      link.download = `${this.player.camera || "view"}_${String(this.player.currentFrame).padStart(4, "0")}.png`;
+      link.href = URL.createObjectURL(await made);
+      link.download = name;
       link.click();
       setTimeout(() => {
         URL.revokeObjectURL(link.href);
@@ -170,6 +175,10 @@ export class Panels {
     } catch (error) {
       this.say(error instanceof Error ? error.message : String(error), false);
     }
+  }
+
+  private frameText(): string {
+    return String(this.player.info?.frame ?? 0).padStart(4, "0");
   }
 
   private listen(): void {
@@ -197,6 +206,7 @@ export class Panels {
         void this.toggleFullScreen();
       },
       picture: () => void this.savePicture(),
+      ply: () => void this.save(this.player.ply(), `frame_${this.frameText()}.ply`),
       pose: () => void this.copyPose(),
       link: () => void this.copyLink(),
       embed: () => void this.copyEmbed(),

@@ -340,6 +340,11 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return picture;
   }
 
+  async ply(): Promise<Blob> {
+    if (this.info === null) throw new Error("there is no frame yet");
+    return new Blob([await this.#session.ply()], { type: "application/octet-stream" });
+  }
+
   lookThrough(index: number, atOnce = false): void {
     if (this.#cameras?.lookThrough(index, atOnce) === true) this.#cameraPut();
   }

@@ -1,4 +1,5 @@
 /** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
+import { inItsWorld } from "../geometry/similarity";
 import type { FrameInfo, FromWorker, ToWorker } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Connection, FrameColumns } from "./connection";
@@ -55,6 +56,8 @@ export class Session {
   #seekRequest = -1;
   /** A frame asked for that is not known yet; -1 for none. */
   #seekLater = -1;
+  /** The frame that stands for the stream until somebody plays it or goes elsewhere; -1: none does. */
+  #standIn = -1;
   #followTimer = 0;
   #lateTimer = 0;
   #busy = false;
@@ -63,6 +66,8 @@ export class Session {
   /** Those who wait until playing has begun. */
   #beginnings: { readonly begun: () => void; readonly refused: (reason: DOMException) => void }[] = [];
   #notice: string | null = null;
+  /** Those who wait for the frame as a .ply. */
+  #plyAsked: { readonly given: (bytes: Uint8Array<ArrayBuffer>) => void; readonly refused: (reason: Error) => void }[] = [];
 
   constructor(private readonly host: SessionHost) {}
 
@@ -94,6 +99,7 @@ export class Session {
     const playing = this.#connection === null && this.playback.playing;
     this.#connection?.close();
     this.#connection = null;
+    for (const { refused } of this.#plyAsked.splice(0)) refused(new Error("the stream was closed"));
     if (!playing) this.#refuse("AbortError", "another stream was opened, or the player has left the page");
     const emptied = this.header !== null;
     this.header = this.info = this.error = this.#notice = this.#trouble = null;
@@ -102,7 +108,7 @@ export class Session {
     this.#setBusy(false);
     this.warn();
     this.frames = new FrameColumns();
-    this.#requested = this.#seekRequest = this.#seekLater = -1;
+    this.#requested = this.#seekRequest = this.#seekLater = this.#standIn = -1;
     this.bytesRead = 0;
     Object.assign(this.playback, { playing, ended: false, position: 0, frameCount: 0, complete: false });
     if (emptied) this.host.tell("emptied");
@@ -130,7 +136,8 @@ export class Session {
     if (this.waiting && this.#enough()) this.#goOn();
     // Time begins with the first picture.
     if (!this.waiting && this.info !== null) playback.advance(seconds, this.info.frame);
-    if (playback.frameCount > 0 && playback.due !== this.#requested) this.#request(playback.due);
+    const shown = this.#standsIn ?? playback.due;
+    if (playback.frameCount > 0 && shown !== this.#requested) this.#request(shown);
     if (!wasPlaying || !playback.ended) return;
     this.host.tell("pause");
     this.host.tell("ended");
@@ -141,7 +148,7 @@ export class Session {
     const { playback } = this;
     if (this.error !== null) this.#again();
     if (!playback.playing) {
-      if (playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
+      if (this.#standIn >= 0 || playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
       playback.playing = true;
       playback.ended = false;
       this.host.tell("play");
@@ -151,6 +158,14 @@ export class Session {
     if (this.#begun) return Promise.resolve();
     return new Promise((begun, refused) => {
       this.#beginnings.push({ begun, refused });
+    });
+  }
+
+  /** The frame in the picture as a .ply of 3D Gaussians. */
+  ply(): Promise<Uint8Array<ArrayBuffer>> {
+    return new Promise((given, refused) => {
+      this.#plyAsked.push({ given, refused });
+      this.send({ type: "ply" });
     });
   }
 
@@ -169,6 +184,7 @@ export class Session {
     this.#seekLater = frame >= playback.frameCount && !playback.complete ? frame : -1;
     playback.position = Math.max(0, Math.min(frame, playback.complete ? playback.frameCount : playback.frameCount - 1));
     playback.ended = false;
+    this.#standIn = -1;
     this.host.tell("seeking");
     this.#seekRequest = this.#requests + 1;
     this.#request(playback.due);
@@ -216,6 +232,12 @@ export class Session {
         this.#pictures!.exactlyDrawn(message.picture);
         if (message.problem !== null) this.notice(message.problem);
         break;
+      case "ply":
+        for (const { given, refused } of this.#plyAsked.splice(0, 1)) {
+          if (message.bytes === null) refused(new Error(message.problem));
+          else given(message.bytes);
+        }
+        break;
       case "notYet":
         this.#requested = -1;
         clearTimeout(this.#lateTimer);
@@ -229,9 +251,9 @@ export class Session {
     this.host.wake();
   }
 
-  #opened({ header, layout, frames, complete }: Extract<FromWorker, { type: "opened" }>): void {
+  #opened({ header: stored, layout, frames, complete }: Extract<FromWorker, { type: "opened" }>): void {
     const { stage } = this.#pictures!;
-    this.header = header;
+    const header = (this.header = inItsWorld(stored));
     this.frames.append(frames);
     this.playback.fps = header.fps ?? DEFAULT_FPS;
     this.#pictures!.begin(layout, header);
@@ -239,6 +261,7 @@ export class Session {
     stage.begin();
     const { start } = this;
     this.start = null;
+    if (start === null && !this.host.autoplay()) this.#standIn = header.presentation.poster ?? -1;
     this.#grown(complete);
     if (start !== null) this.seek("frame" in start ? start.frame : start.seconds * this.playback.fps);
     this.host.tell("loadedmetadata");
@@ -309,6 +332,12 @@ export class Session {
     const buffers = arrays.flatMap((array) => (array ? [array.buffer as ArrayBuffer] : []));
     const whole = buffers.filter((buffer) => buffer.byteLength > 0);
     this.#connection?.send({ type: "recycle", buffers: whole }, whole);
+  }
+
+  /** null before it is known that there is such a frame. */
+  get #standsIn(): number | null {
+    const { frameCount, complete } = this.playback;
+    return this.#standIn >= 0 && (complete || frameCount > this.#standIn) ? Math.min(this.#standIn, frameCount - 1) : null;
   }
 
   get #begun(): boolean {

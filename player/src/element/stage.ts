@@ -7,6 +7,7 @@ import type { Renderer } from "../draw/renderer";
 import type { PinholeCamera } from "../geometry/camera";
 import { fittedLens, worldToCamera } from "../geometry/poses";
 import { asItStood, recordingOf } from "../geometry/recorded";
+import { intoScene, rowIntoScene, type Similarity } from "../geometry/similarity";
 import type { DepthRow, DrawOrder, SceneUpdate } from "../messages";
 import type { Overlay } from "../player_api";
 import type { CameraCorrection, RigCamera } from "../scene";
@@ -29,6 +30,8 @@ export interface LookedThrough {
 export class Stage {
   readonly navigation = new Navigation();
   overlay: Overlay = "none";
+  /** From the scene that the renderer has to the world of all cameras here; null where they are one. */
+  transform: Similarity | null = null;
   drawnAt: number[] = [];
   private scale = 1;
   /** Of the picture that was timed last; and the one before that was shrunk, with what it took. */
@@ -153,7 +156,7 @@ export class Stage {
       if (this.disposed) throw new Error("the player has left the page");
       await new Promise((done) => setTimeout(done, 5));
     }
-    renderer.draw(this.camera(width, height), this.overlay);
+    this.drawSized(width, height);
     await renderer.settled?.();
     const blob = new Promise<Blob | null>((done) => {
       renderer.canvas.toBlob(done, "image/png");
@@ -175,7 +178,8 @@ export class Stage {
   }
 
   /** Asks for the order of a view, if another one than before. */
-  sortFor(row: DepthRow): void {
+  sortFor(worldRow: DepthRow): void {
+    const row = rowIntoScene(worldRow, this.transform);
     if (this.asked?.every((part, i) => part === row[i]) || this.answered < this.serial) return;
     this.asked = row;
     this.askOrder(row, ++this.serial);
@@ -184,7 +188,11 @@ export class Stage {
   private drawNow(scale: number): void {
     const { width, height } = this.sizeOf();
     const side = (length: number): number => Math.max(1, Math.min(LARGEST_SIDE, Math.round(length * scale)));
-    this.renderer.draw(this.camera(side(width), side(height)), this.overlay);
+    this.drawSized(side(width), side(height));
+  }
+
+  private drawSized(width: number, height: number): void {
+    this.renderer.draw(intoScene(this.camera(width, height), this.transform), this.overlay);
   }
 
   /** Smaller pictures while that helps: where Gaussians, not pixels, take the time, it would only blur. */

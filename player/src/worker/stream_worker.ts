@@ -5,11 +5,13 @@ import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
 import { DepthSorter } from "./depth_order";
+import type { plyOf } from "../export/ply";
 import type { ExactPictures, LoadKernel } from "./exact_pictures";
 import { PackedScene } from "./packed_scene";
 import { textureLayout } from "./packing";
 
 export type OpenStream = (source: string, options: { readonly follow: boolean; readonly ahead: true; readonly onChange: () => void }) => Promise<SceneStream>;
+type PlyMaker = typeof plyOf;
 export type Send = (message: FromWorker, transfer?: Transferable[]) => void;
 
 const PROGRESS_MS = 100;
@@ -25,6 +27,8 @@ export class StreamWorker {
   private exact: ExactPictures | null = null;
   private kernel: ExactRenderer | null = null;
   private exactCamera: PinholeCamera | null = null;
+  /** What makes a .ply, while one is asked for. */
+  private plyMaker: PlyMaker | null = null;
   private readonly sorter = new DepthSorter();
   private told = { frames: 0, metrics: 0, state: "" };
   private progressTimer: ReturnType<typeof setTimeout> | null = null;
@@ -69,6 +73,9 @@ export class StreamWorker {
         return;
       case "exact":
         void this.drawExactly(message.camera);
+        return;
+      case "ply":
+        void this.givePly();
         return;
       case "close":
         this.abort?.abort();
@@ -126,7 +133,7 @@ export class StreamWorker {
         if (request === 0 && frame >= stream.frames.length) this.send({ type: "notYet" });
         else if (!this.abort.signal.aborted) this.send({ type: "failed", request, message: sentence(error) });
       }
-      this.drawHeld();
+      this.answerHeld();
     }
     this.awaited = null;
     this.busy = false;
@@ -171,7 +178,26 @@ export class StreamWorker {
       return;
     }
     this.exactCamera = camera;
-    if (!this.busy) this.drawHeld();
+    if (!this.busy) this.answerHeld();
+  }
+
+  private async givePly(): Promise<void> {
+    try {
+      this.plyMaker = (await import("../export/ply")).plyOf;
+      if (!this.busy) this.answerHeld();
+    } catch (error) {
+      this.send({ type: "ply", bytes: null, problem: sentence(error) });
+    }
+  }
+
+  /** What was asked for while a frame was decoded. */
+  private answerHeld(): void {
+    this.drawHeld();
+    const { plyMaker, frame, stream } = this;
+    if (plyMaker === null || frame === null || stream === null) return;
+    this.plyMaker = null;
+    const bytes = plyMaker(frame.gaussians, stream.header);
+    this.send({ type: "ply", bytes, problem: "" }, [bytes.buffer]);
   }
 
   private drawHeld(): void {
