@@ -64,9 +64,10 @@ export class Stage {
     return this.drawing;
   }
 
-  /** Another one may be slow elsewhere. */
+  /** Another one may be slow elsewhere. It has the scene once the next order has come. */
   set renderer(renderer: Renderer) {
     this.drawing = renderer;
+    this.ordered = false;
     this.scale = 1;
     this.futile = false;
     this.larger = null;
@@ -150,12 +151,12 @@ export class Stage {
 
   /** A picture of the present view of so many pixels, as PNG. */
   async capture(width: number, height: number): Promise<Blob> {
-    const { renderer } = this;
     this.look();
-    while (this.answered < this.serial) {
+    while (!this.ordered || this.answered < this.serial) {
       if (this.disposed) throw new Error("the player has left the page");
       await new Promise((done) => setTimeout(done, 5));
     }
+    const { renderer } = this;
     this.drawSized(width, height);
     await renderer.settled?.();
     const blob = new Promise<Blob | null>((done) => {

@@ -109,3 +109,19 @@ test("where WebGL is software, the kernel draws by itself; overlays, and who wan
   assert.deepEqual(page.complaints, []);
   await page.context().close();
 });
+
+test("a picture that is saved right after another renderer was chosen is whole", async () => {
+  const page = await browser.opened("degree1", { automatic: true });
+  await ready(page);
+  await show(page, 3);
+  const { file } = pictures.find(({ stream, frame, camera }) => stream === "degree1" && frame === 3 && camera === "cam00");
+  const expected = await filed(page, file);
+  for (const exact of [false, true, false]) {
+    await page.evaluate((exact) => {
+      document.querySelector("decogs-player").exact = exact;
+    }, exact);
+    const decibels = psnr(await picture(page, expected.width, expected.height), expected);
+    assert.ok(decibels >= LEAST_DB, `${decibels.toFixed(2)} dB, exact ${exact}`);
+  }
+  await page.context().close();
+});
