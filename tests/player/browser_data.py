@@ -52,6 +52,9 @@ SHOWN = Presentation(
         (0.0, 1.056545654351749, 2.265769467591625, 0.5),
     ),
 )
+WALL = 1.8
+WALL_COLOUR = (0.2, 0.6, 0.4)
+"""Of scenes in engines (player/tests/browser/engines.test.mjs): the depth of an opaque wall, display-referred RGB."""
 WIDE = 150
 """Frames of a stream of some Mbit/s, for slow links."""
 
@@ -125,6 +128,18 @@ def write_stream(
             ends.append(file.tell())
         writer.finish()
     return ends
+
+
+def write_scene_before(path: Path, depth: float) -> None:
+    """What of a scene stands before a wall at this depth, over the wall's colour."""
+    header = StreamHeader(cameras=cameras(), lattice=default_lattice(2.0), sh_degree=1, background=WALL_COLOUR)
+    splats = scene(1500, 1, 3)
+    whole = quantise(splats, header.lattice)
+    state, _ = keyframe_state(take_rows(whole, np.flatnonzero(splats.means[:, 2] < depth)))
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        writer.write(PacketKind.KEY, 0, write_key(state).payload)
+        writer.finish()
 
 
 def recording_cameras() -> tuple[Camera, ...]:
@@ -236,6 +251,9 @@ def main() -> None:
         for camera in ("cam00", "off centre"):
             pictures.take(name, 3, camera)
         pictures.take(name, 2, None, near_to(folder / f"{name}.dgs"))
+    for name, nearer in (("engine", np.inf), ("engine_nearer", WALL)):
+        write_scene_before(folder / f"{name}.dgs", nearer)
+        pictures.take(name, 0, "cam00")
     write_stream(folder / "subject.dgs", 300, 1, 2, subject=True)
     pictures.take("subject", 1, "cam00")
     write_stream(folder / "wide.dgs", 6000, 1, WIDE)

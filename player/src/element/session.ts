@@ -1,11 +1,10 @@
 /** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
 import { inItsWorld } from "../geometry/similarity";
-import type { FrameInfo, FromWorker, ToWorker } from "../messages";
+import type { DrawOrder, ExactPicture, FrameInfo, FromWorker, SceneUpdate, TextureLayout, ToWorker } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Connection, FrameColumns } from "./connection";
 import type { PlayerEvent } from "./events";
 import type { Span } from "../player_api";
-import type { Pictures } from "./pictures";
 import { DEFAULT_FPS, Playback } from "./playback";
 
 const FOLLOW_MS = 1000;
@@ -16,6 +15,17 @@ const ENOUGH_SECONDS = 1;
 
 /** Where to begin: set before the header has come. */
 export type Start = { readonly seconds: number } | { readonly frame: number };
+
+/** What draws a stream: the element's pictures, or a scene of somebody else's. */
+export interface Drawing {
+  begin(layout: TextureLayout, header: StreamHeader): void;
+  exactlyDrawn(picture: ExactPicture | null): void;
+  readonly stage: {
+    begin(): void;
+    load(update: SceneUpdate | null, draw: DrawOrder): void;
+    order(draw: DrawOrder): void;
+  };
+}
 
 export interface SessionHost {
   readonly tell: (name: PlayerEvent) => void;
@@ -49,7 +59,7 @@ export class Session {
   start: Start | null = null;
   readonly playback = new Playback();
   #connection: Connection | null = null;
-  #pictures: Pictures | null = null;
+  #pictures: Drawing | null = null;
   #follow = false;
   #requested = -1;
   #requests = 0;
@@ -71,7 +81,7 @@ export class Session {
 
   constructor(private readonly host: SessionHost) {}
 
-  open(source: string, follow: boolean, pictures: Pictures): void {
+  open(source: string, follow: boolean, pictures: Drawing): void {
     this.#pictures = pictures;
     this.#follow = follow;
     this.host.loading(true);

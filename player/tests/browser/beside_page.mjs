@@ -73,7 +73,7 @@ async function spark(ply, canvas, width, height, background) {
       view.matrix.fromArray(cameraToWorld(camera));
       view.matrix.decompose(view.position, view.quaternion, view.scale);
       view.updateMatrixWorld(true);
-      view.projectionMatrix.fromArray(projection(camera, 0.01, 1000));
+      view.projectionMatrix.fromArray(projection(camera, camera.near || 0.01, 1000));
       view.projectionMatrixInverse.copy(view.projectionMatrix).invert();
       renderer.render(scene, view);
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
@@ -100,7 +100,7 @@ async function playCanvas(ply, canvas, width, height, background) {
   const view = new pc.Entity();
   let camera = null;
   view.addComponent("camera", { clearColor: new pc.Color(...background), toneMapping: pc.TONEMAP_NONE, gammaCorrection: pc.GAMMA_SRGB });
-  view.camera.calculateProjection = (matrix) => matrix.set(projection(camera, 0.01, 1000));
+  view.camera.calculateProjection = (matrix) => matrix.set(projection(camera, camera.near || 0.01, 1000));
   view.camera.calculateTransform = (matrix) => matrix.set(cameraToWorld(camera));
   app.root.addChild(view);
   const gl = app.graphicsDevice.gl;
