@@ -73,6 +73,8 @@ export interface PlayerApi extends HTMLElement {
   currentFrame: number;
   playbackRate: number;
   loop: boolean;
+  /** Frames that are played again and again, from one up to, not including, another; null: all are played. */
+  range: Span | null;
   controls: boolean;
   overlay: Overlay;
   /** Whether the decoder's own kernel draws: slower, and to the bit what decogs-decode writes. */

@@ -65,6 +65,7 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     },
   },
   { keys: ["l"], shown: "L", text: "loop", act: (player) => { player.loop = !player.loop; } },
+  { keys: ["m"], shown: "M", text: "mark where a loop begins, where it ends, and end it", act: (_, panels) => { panels.mark(); } },
   {
     keys: ["c"],
     shown: "C",

@@ -40,6 +40,8 @@ export class Panels {
   private loadingTimer = 0;
   private shownBusy = false;
   private invited = false;
+  /** The frame that a loop is to begin with, once its end is marked. */
+  private marked: number | null = null;
   /** What had the focus before a panel was opened. */
   private opener: HTMLElement;
   private legendOf: Overlay = "none";
@@ -156,6 +158,26 @@ export class Panels {
     const fills = classList.contains("fills");
     classList.remove("fills");
     return fills;
+  }
+
+  /** The first frame of a loop, the last one, and no loop any more, one after the other. */
+  mark(): void {
+    const { player } = this;
+    const frame = player.currentFrame;
+    if (player.range !== null) {
+      player.range = null;
+      this.marked = null;
+      this.hint("No loop");
+    } else if (this.marked === null) {
+      this.marked = frame;
+      this.hint(`Loop from frame ${frame}; M again where it ends`);
+    } else {
+      player.range = [Math.min(frame, this.marked), Math.max(frame, this.marked) + 1];
+      this.marked = null;
+      this.hint(`Loop of frames ${player.range[0]} to ${player.range[1] - 1}`);
+    }
+    this.timeline.mark(this.marked);
+    this.refresh();
   }
 
   async savePicture(): Promise<void> {

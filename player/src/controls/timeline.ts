@@ -14,6 +14,7 @@ export class Timeline {
   private readonly tip = document.createElement("div");
   private drawnState = "";
   private hovered = -1;
+  private marked: number | null = null;
 
   constructor(
     private readonly player: PlayerApi,
@@ -36,6 +37,11 @@ export class Timeline {
     });
   }
 
+  /** Shows where a loop is to begin; null: nowhere. */
+  mark(frame: number | null): void {
+    this.marked = frame;
+  }
+
   /** Draws what has changed; cheap when nothing has. */
   refresh(): void {
     const { player, track, canvas } = this;
@@ -44,7 +50,7 @@ export class Timeline {
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [Math.round(track.clientWidth * ratio), Math.round(track.clientHeight * ratio)];
     const colours = getComputedStyle(track);
-    const state = [count, frame, width, height, player.frames.psnr.size, player.bufferedFrames, colours.color].join();
+    const state = [count, frame, width, height, player.frames.psnr.size, player.bufferedFrames, player.range, this.marked, colours.color].join();
     if (state === this.drawnState || width === 0) return;
     this.drawnState = state;
     [canvas.width, canvas.height] = [width, height];
@@ -80,6 +86,13 @@ export class Timeline {
     for (const [from, to] of bufferedFrames) context.fillRect((from / count) * width, height - base, ((to - from) / count) * width, base);
     context.globalAlpha = 0.6;
     context.fillRect(0, height - base, ((currentFrame + 0.5) / count) * width, base);
+    const looped = this.player.range ?? (this.marked === null ? null : [this.marked, this.marked + 1]);
+    if (looped !== null) {
+      context.fillStyle = accent;
+      context.globalAlpha = 0.25;
+      const [from, to] = looped.map((at) => (Math.min(at, count) / count) * width) as [number, number];
+      context.fillRect(from, 0, to - from, height);
+    }
     for (let column = 0; column < columns; column++) {
       const from = Math.floor((column * count) / columns);
       const to = Math.floor(((column + 1) * count) / columns);

@@ -4,7 +4,7 @@
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
- * orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
+ * range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
  * gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
@@ -39,7 +39,7 @@ interface Left {
 const INSIDE = Symbol.for("decogs.inside");
 
 export class DecogsPlayer extends HTMLElement implements PlayerApi {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits"];
+  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range"];
 
   readonly #root = this.attachShadow({ mode: "open" });
   readonly #poster = document.createElement("img");
@@ -142,6 +142,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (name === "background") this.#pictures?.layBehind(value);
     if (name === "orbit") this.#sway();
     if (name === "limits") this.#limit();
+    if (name === "range") this.#session.playback.range = spanOf(value);
     if (name === "camera" && value !== null) this.camera = value;
     this.#late.panels?.refresh();
   }
@@ -175,6 +176,13 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
   set loop(value: boolean) {
     this.toggleAttribute("loop", value);
+  }
+  get range(): Span | null {
+    return this.#session.playback.range;
+  }
+  set range(value: Span | null) {
+    if (value === null) this.removeAttribute("range");
+    else this.setAttribute("range", `${value[0]}:${value[1]}`);
   }
   get recorded(): boolean {
     return this.hasAttribute("recorded");
@@ -567,4 +575,12 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
       this.#pausedByHiding = true;
     } else if (this.#pausedByHiding) this.play().catch(() => undefined);
   };
+}
+
+/** Frames A:B, as commands have them; null for what is none. */
+function spanOf(text: string | null): Span | null {
+  const found = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
+  if (found === null) return null;
+  const [from, to] = [Number(found[1]), Number(found[2])];
+  return from < to ? [from, to] : null;
 }

@@ -56,6 +56,22 @@ test("dragging circles the pivot, upright, the near side going with the hand", a
   await page.context().close();
 });
 
+test("M marks a loop, whichever end comes first", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400 });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null");
+  const range = () => page.evaluate(() => document.querySelector("decogs-player").range);
+  await show(page, 8);
+  await page.keyboard.press("m");
+  await show(page, 3);
+  await page.keyboard.press("m");
+  assert.deepEqual(await range(), [3, 9]);
+  await page.keyboard.press("m");
+  assert.equal(await range(), null);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
 test("keys play, step, fly and change cameras", async () => {
   const page = await browser.opened("long", { width: 640, height: 400 });
   await ready(page);
