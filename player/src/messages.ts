@@ -26,6 +26,8 @@ export type ToWorker =
   | { readonly type: "recycle"; readonly buffers: readonly ArrayBuffer[] }
   /** Draw the scene with the decoder's kernel; answered by an "exact". */
   | { readonly type: "exact"; readonly camera: PinholeCamera }
+  /** Draw the keyframe at or before a frame with the kernel; answered by a "still". */
+  | { readonly type: "still"; readonly frame: number; readonly camera: PinholeCamera }
   /** Give the frame that is shown as a .ply; answered by a "ply". */
   | { readonly type: "ply" }
   | { readonly type: "close" };
@@ -149,6 +151,8 @@ export type FromWorker =
   | { readonly type: "refreshed"; readonly grown: boolean }
   /** `picture` null: there is none, and `problem` says why, if something is wrong. */
   | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null }
+  /** null: there is none. */
+  | { readonly type: "still"; readonly picture: ExactPicture | null }
   /** null: there is none, and `problem` says why. */
   | { readonly type: "ply"; readonly bytes: Uint8Array<ArrayBuffer> | null; readonly problem: string }
   /** `request` null: the stream cannot be opened at all. */

@@ -98,6 +98,8 @@ export interface PlayerApi extends HTMLElement {
   currentCamera(width?: number, height?: number): PinholeCamera | null;
   /** A PNG of the picture, as large as the element or of so many pixels. */
   capture(width?: number, height?: number): Promise<Blob>;
+  /** The keyframe at or before a frame from where the scene is looked at now, so many pixels wide; null where there is none. */
+  thumbnail(frame: number, width: number): Promise<ImageData | null>;
   /** The frame in the picture as a .ply of 3D Gaussians, in the world that the stream is shown in. */
   ply(): Promise<Blob>;
   /** Looks through a camera of the rig, by its place in `header.cameras`. */

@@ -152,6 +152,12 @@ export interface FrameMetrics {
   readonly psnr: number | null;
 }
 
+/** A keyframe that was decoded aside. */
+export interface Still {
+  readonly frame: number;
+  readonly gaussians: Gaussians;
+}
+
 /** A stream that is open: bytes come as they are needed. All methods reject with a StreamError. */
 export interface SceneStream {
   readonly header: StreamHeader;
@@ -175,6 +181,8 @@ export interface SceneStream {
   readonly notices: readonly string[];
   /** The scene at a frame. Going one frame on costs one packet; going elsewhere reads and decodes from its keyframe. */
   frame(index: number, signal?: AbortSignal): Promise<SceneFrame>;
+  /** The keyframe at or before a frame, while another frame is shown; one at a time, and in memory of its own. */
+  keyframe(index: number): Promise<Still>;
   /** Reads bytes of the coming frames ahead, within the window that bounds memory. */
   prefetch(from: number): Promise<void>;
   /** Looks whether the source has grown; resolves to whether it has. */

@@ -3,6 +3,7 @@
  * stream's life at a glance, and the slider to move in it. PSNR is a line over it where the stream tells it.
  */
 import type { PlayerApi } from "../player_api";
+import { Thumbnails } from "./thumbnails";
 import { bytesText, timeText } from "./time_text";
 
 const SMALLEST_PACKET = 24;
@@ -12,6 +13,8 @@ const WIDEST = 12;
 export class Timeline {
   private readonly canvas = document.createElement("canvas");
   private readonly tip = document.createElement("div");
+  private readonly told = document.createElement("div");
+  private readonly thumbnails: Thumbnails;
   private drawnState = "";
   private hovered = -1;
   private marked: number | null = null;
@@ -22,6 +25,8 @@ export class Timeline {
   ) {
     this.tip.className = "tip";
     this.tip.hidden = true;
+    this.thumbnails = new Thumbnails(player);
+    this.tip.append(this.thumbnails.canvas, this.told);
     track.append(this.canvas, this.tip);
     track.addEventListener("pointerdown", (event) => {
       track.setPointerCapture(event.pointerId);
@@ -151,8 +156,9 @@ export class Timeline {
       const psnr = frames.psnr.get(frame);
       const told = [timeText(frame / fps), `frame ${frame}`, frames.kind(frame) ?? "lost", bytesText(frames.bytes[frame])];
       if (psnr !== undefined) told.push(`${psnr.toFixed(2)} dB`);
-      this.tip.textContent = told.join("  ·  ");
+      this.told.textContent = told.join("  ·  ");
     }
+    this.thumbnails.show(frame);
     const { left, width } = this.track.getBoundingClientRect();
     this.tip.hidden = false;
     const half = this.tip.offsetWidth / 2;

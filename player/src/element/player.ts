@@ -11,6 +11,7 @@
 import { startRecorded } from "../draw/recorded";
 import type { Lens, PinholeCamera } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
+import { intoScene } from "../geometry/similarity";
 import { length, type Vector } from "../geometry/vectors";
 import type { FrameInfo } from "../messages";
 import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type PlayerApi, type Span, type View } from "../player_api";
@@ -346,6 +347,15 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     const picture = await this.#pictures.stage.capture(width ?? size.width, height ?? size.height);
     this.#wake();
     return picture;
+  }
+
+  async thumbnail(frame: number, width: number): Promise<ImageData | null> {
+    if (this.#pictures === null || this.info === null) return null;
+    const { stage } = this.#pictures;
+    const { clientWidth, clientHeight } = this;
+    const camera = stage.camera(width, Math.max(1, Math.round((width * clientHeight) / Math.max(1, clientWidth))));
+    const picture = await this.#session.still(frame, intoScene({ ...camera, recording: null }, stage.transform));
+    return picture && new ImageData(picture.pixels, picture.width, picture.height);
   }
 
   async ply(): Promise<Blob> {

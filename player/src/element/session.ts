@@ -1,4 +1,5 @@
 /** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
+import type { PinholeCamera } from "../geometry/camera";
 import { inItsWorld } from "../geometry/similarity";
 import type { DrawOrder, ExactPicture, FrameInfo, FromWorker, SceneUpdate, TextureLayout, ToWorker } from "../messages";
 import type { StreamHeader } from "../scene";
@@ -76,6 +77,8 @@ export class Session {
   /** Those who wait until playing has begun. */
   #beginnings: { readonly begun: () => void; readonly refused: (reason: DOMException) => void }[] = [];
   #notice: string | null = null;
+  /** Those who wait for pictures of keyframes. */
+  #stillAsked: ((picture: ExactPicture | null) => void)[] = [];
   /** Those who wait for the frame as a .ply. */
   #plyAsked: { readonly given: (bytes: Uint8Array<ArrayBuffer>) => void; readonly refused: (reason: Error) => void }[] = [];
 
@@ -109,6 +112,7 @@ export class Session {
     const playing = this.#connection === null && this.playback.playing;
     this.#connection?.close();
     this.#connection = null;
+    for (const given of this.#stillAsked.splice(0)) given(null);
     for (const { refused } of this.#plyAsked.splice(0)) refused(new Error("the stream was closed"));
     if (!playing) this.#refuse("AbortError", "another stream was opened, or the player has left the page");
     const emptied = this.header !== null;
@@ -168,6 +172,14 @@ export class Session {
     if (this.#begun) return Promise.resolve();
     return new Promise((begun, refused) => {
       this.#beginnings.push({ begun, refused });
+    });
+  }
+
+  /** A picture of the keyframe at or before a frame; null where there is none. */
+  still(frame: number, camera: PinholeCamera): Promise<ExactPicture | null> {
+    return new Promise((given) => {
+      this.#stillAsked.push(given);
+      this.send({ type: "still", frame, camera });
     });
   }
 
@@ -241,6 +253,9 @@ export class Session {
       case "exact":
         this.#pictures!.exactlyDrawn(message.picture);
         if (message.problem !== null) this.notice(message.problem);
+        break;
+      case "still":
+        this.#stillAsked.shift()?.(message.picture);
         break;
       case "ply":
         for (const { given, refused } of this.#plyAsked.splice(0, 1)) {

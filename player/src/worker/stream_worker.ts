@@ -1,7 +1,7 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { SceneFrame, SceneStream } from "../scene";
-import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
+import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type ExactPicture, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
 import { DepthSorter } from "./depth_order";
@@ -73,6 +73,9 @@ export class StreamWorker {
         return;
       case "exact":
         void this.drawExactly(message.camera);
+        return;
+      case "still":
+        void this.drawStill(message.frame, message.camera);
         return;
       case "ply":
         void this.givePly();
@@ -170,15 +173,32 @@ export class StreamWorker {
   /** Between two frames only: while one is decoded, the scene is neither this nor that. */
   private async drawExactly(camera: PinholeCamera): Promise<void> {
     try {
-      const { ExactPictures } = await import("./exact_pictures");
-      this.exact ??= new ExactPictures(this.loadKernel);
-      this.kernel = await this.exact.ready();
+      await this.startKernel();
     } catch (error) {
       this.send({ type: "exact", picture: null, problem: sentence(error) });
       return;
     }
     this.exactCamera = camera;
     if (!this.busy) this.answerHeld();
+  }
+
+  private async startKernel(): Promise<{ readonly exact: ExactPictures; readonly kernel: ExactRenderer }> {
+    const { ExactPictures } = await import("./exact_pictures");
+    const exact = (this.exact ??= new ExactPictures(this.loadKernel));
+    const kernel = (this.kernel = await exact.ready());
+    return { exact, kernel };
+  }
+
+  private async drawStill(frame: number, camera: PinholeCamera): Promise<void> {
+    let picture: ExactPicture | null = null;
+    try {
+      const { exact, kernel } = await this.startKernel();
+      const { stream } = this;
+      if (stream !== null) picture = exact.draw(kernel, (await stream.keyframe(frame)).gaussians, stream.header, camera);
+    } catch {
+      // A picture on the timeline is not worth a word; the frame itself will say what is wrong.
+    }
+    this.send({ type: "still", picture }, picture === null ? [] : [picture.pixels.buffer]);
   }
 
   private async givePly(): Promise<void> {

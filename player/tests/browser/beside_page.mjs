@@ -107,6 +107,7 @@ async function playCanvas(ply, canvas, width, height, background) {
   return {
     draw: async (asked) => {
       camera = asked;
+      view.camera.nearClip = asked.near || 0.01;
       const place = new pc.Mat4().set(cameraToWorld(asked));
       view.setPosition(place.getTranslation());
       view.setRotation(new pc.Quat().setFromMat4(place));

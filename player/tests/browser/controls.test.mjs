@@ -1,7 +1,7 @@
 // Hands on: mouse, keys, the bar and its menu, cameras of the rig, overlays, small screens.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { ready, show, started, until } from "./harness.mjs";
+import { picture, pixelsOf, psnr, ready, show, started, until } from "./harness.mjs";
 
 let browser;
 before(async () => (browser = await started()));
@@ -52,6 +52,31 @@ test("dragging circles the pivot, upright, the near side going with the hand", a
   const back = await state(page);
   assert.ok(distance(back.centre, before.centre) < 1e-9);
   assert.equal(back.camera, before.camera);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("the timeline shows the keyframe below the pointer, from where the scene is looked at", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400, query: "&camera=turned" });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null && player.bufferedFrames.some(([from, to]) => from <= 120 && to > 120)");
+  const box = await page.locator(".timeline").boundingBox();
+  await page.mouse.move(box.x + (box.width * 130.5) / 300, box.y + box.height / 2);
+  await until(page, "!player.shadowRoot.querySelector('.tip canvas').hidden");
+  assert.equal(await page.evaluate(() => document.querySelector("decogs-player").info.frame), 0);
+  const found = await pixelsOf(page, await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector(".tip canvas").toDataURL()));
+  assert.equal(found.width, 160);
+  await show(page, 120);
+  const decibels = psnr(found, await picture(page, found.width, found.height));
+  assert.ok(decibels > 40, `${decibels.toFixed(1)} dB`);
+  // It belongs to the view.
+  await page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    globalThis.before = player.shadowRoot.querySelector(".tip canvas").toDataURL();
+    player.camera = "cam00";
+  });
+  await page.mouse.move(box.x + (box.width * 131.5) / 300, box.y + box.height / 2);
+  await until(page, "player.shadowRoot.querySelector('.tip canvas').toDataURL() !== globalThis.before");
   assert.deepEqual(page.complaints, []);
   await page.context().close();
 });
