@@ -18,6 +18,8 @@ export type ToWorker =
   | { readonly type: "show"; readonly frame: number; readonly request: number }
   /** Look from elsewhere; answered by an "order", with `serial` of the last of several views. */
   | { readonly type: "view"; readonly depth: DepthRow; readonly serial: number }
+  /** Draw so large a share of the Gaussians, those that cover most; answered by an "order". */
+  | { readonly type: "detail"; readonly share: number }
   /** Look whether the source has grown. */
   | { readonly type: "refresh" }
   /** Send the whole frame again: the page has lost its textures. */

@@ -254,6 +254,9 @@ export class Panels {
     this.select("rate").addEventListener("change", ({ target }) => {
       player.playbackRate = Number((target as HTMLSelectElement).value);
     });
+    this.select("quality").addEventListener("change", ({ target }) => {
+      player.quality = Number((target as HTMLSelectElement).value);
+    });
     this.field("loop").addEventListener("change", ({ target }) => {
       player.loop = (target as HTMLInputElement).checked;
     });
@@ -299,6 +302,7 @@ export class Panels {
     this.updateCameras();
     this.select("overlay").value = player.overlay;
     this.select("rate").value = String(player.playbackRate);
+    this.select("quality").value = String(player.quality);
     this.input("loop").checked = player.loop;
     this.input("exact").checked = player.exact;
     this.input("exact").disabled = !player.canChooseExact;

@@ -4,7 +4,7 @@
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
- * range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
+ * quality (a share of the pixels and of the Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
  * gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
@@ -40,7 +40,7 @@ interface Left {
 const INSIDE = Symbol.for("decogs.inside");
 
 export class DecogsPlayer extends HTMLElement implements PlayerApi {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range"];
+  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality"];
 
   readonly #root = this.attachShadow({ mode: "open" });
   readonly #poster = document.createElement("img");
@@ -143,6 +143,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (name === "background") this.#pictures?.layBehind(value);
     if (name === "orbit") this.#sway();
     if (name === "limits") this.#limit();
+    if (name === "quality") this.#chooseQuality();
     if (name === "range") this.#session.playback.range = spanOf(value);
     if (name === "camera" && value !== null) this.camera = value;
     this.#late.panels?.refresh();
@@ -184,6 +185,14 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   set range(value: Span | null) {
     if (value === null) this.removeAttribute("range");
     else this.setAttribute("range", `${value[0]}:${value[1]}`);
+  }
+  get quality(): number {
+    const share = Number(this.getAttribute("quality") ?? 1);
+    return share > 0 && share <= 1 ? share : 1;
+  }
+  set quality(value: number) {
+    if (!(value > 0 && value <= 1)) throw new RangeError("quality must be above 0 and at most 1");
+    this.setAttribute("quality", String(value));
   }
   get recorded(): boolean {
     return this.hasAttribute("recorded");
@@ -523,6 +532,14 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     this.#startView = this.#left = null;
     this.#limit();
     this.#sway();
+    if (this.quality < 1) this.#chooseQuality();
+  }
+
+  #chooseQuality(): void {
+    if (this.#pictures === null) return;
+    this.#pictures.stage.quality = this.quality;
+    this.#session.send({ type: "detail", share: this.quality });
+    this.#touch();
   }
 
   #limit(): void {

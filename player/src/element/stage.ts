@@ -32,6 +32,8 @@ export class Stage {
   overlay: Overlay = "none";
   /** From the scene that the renderer has to the world of all cameras here; null where they are one. */
   transform: Similarity | null = null;
+  /** Of the element's pixels, so large a share is drawn, if not less. */
+  quality = 1;
   drawnAt: number[] = [];
   private scale = 1;
   /** Of the picture that was timed last; and the one before that was shrunk, with what it took. */
@@ -188,7 +190,8 @@ export class Stage {
 
   private drawNow(scale: number): void {
     const { width, height } = this.sizeOf();
-    const side = (length: number): number => Math.max(1, Math.min(LARGEST_SIDE, Math.round(length * scale)));
+    const shrunk = scale * Math.sqrt(this.quality);
+    const side = (length: number): number => Math.max(1, Math.min(LARGEST_SIDE, Math.round(length * shrunk)));
     this.drawSized(side(width), side(height));
   }
 

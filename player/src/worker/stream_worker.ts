@@ -4,6 +4,7 @@ import type { SceneFrame, SceneStream } from "../scene";
 import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type ExactPicture, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
+import { Detail } from "./detail";
 import { DepthSorter } from "./depth_order";
 import type { plyOf } from "../export/ply";
 import type { ExactPictures, LoadKernel } from "./exact_pictures";
@@ -30,6 +31,7 @@ export class StreamWorker {
   /** What makes a .ply, while one is asked for. */
   private plyMaker: PlyMaker | null = null;
   private readonly sorter = new DepthSorter();
+  private readonly detail = new Detail();
   private told = { frames: 0, metrics: 0, state: "" };
   private progressTimer: ReturnType<typeof setTimeout> | null = null;
   /** The frame that is read or decoded; null when none is. */
@@ -60,6 +62,10 @@ export class StreamWorker {
         return;
       case "view":
         this.view = message;
+        this.sortSoon();
+        return;
+      case "detail":
+        this.detail.share = message.share;
         this.sortSoon();
         return;
       case "refresh":
@@ -254,7 +260,7 @@ export class StreamWorker {
     const begun = performance.now();
     const { means, count } = this.frame.gaussians;
     const order = this.buffers.words(TEXTURE_WIDTH * textureLines(count, 1));
-    const drawn = this.sorter.sort(means, count, this.view.depth, order);
+    const drawn = this.detail.thin(this.frame, order, this.sorter.sort(means, count, this.view.depth, order));
     return { order, count: drawn, sortMs: performance.now() - begun, serial: this.view.serial };
   }
 

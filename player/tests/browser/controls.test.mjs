@@ -81,6 +81,26 @@ test("the timeline shows the keyframe below the pointer, from where the scene is
   await page.context().close();
 });
 
+test("a lower quality draws fewer pixels and fewer Gaussians, those that cover least left out", async () => {
+  const page = await browser.opened("degree1", { width: 640, height: 400, query: "&quality=0.5" });
+  await ready(page);
+  await until(page, "player.figures?.width === 453 && player.figures.height === 283 && player.shadowRoot.querySelector('.bar') !== null");
+  await show(page, 3);
+  const figures = () => page.evaluate(() => document.querySelector("decogs-player").figures);
+  const half = await figures();
+  const thinned = await picture(page, 320, 200);
+  await page.locator("[name=menu]").click();
+  assert.equal(await page.locator("[name=quality]").inputValue(), "0.5");
+  await page.locator("[name=quality]").selectOption("1");
+  await until(page, `player.figures.width === 640 && player.figures.drawn > ${half.drawn}`);
+  const whole = await figures();
+  assert.ok(half.drawn > 0.4 * whole.drawn && half.drawn < 0.75 * whole.drawn, `${half.drawn} of ${whole.drawn}`);
+  const decibels = psnr(thinned, await picture(page, 320, 200));
+  assert.ok(decibels > 24 && decibels < 60, `${decibels.toFixed(1)} dB`);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
 test("M marks a loop, whichever end comes first", async () => {
   const page = await browser.opened("long", { width: 640, height: 400 });
   await ready(page);
