@@ -72,7 +72,7 @@ export interface PlayerApi extends HTMLElement {
   /** The frame that is due, counted from 0. */
   currentFrame: number;
   playbackRate: number;
-  /** Of the pixels and of the Gaussians so large a share is drawn, from above 0 to 1. */
+  /** So large a share of the pixels is drawn, and fewer Gaussians, from above 0 to 1. */
   quality: number;
   loop: boolean;
   /** Frames that are played again and again, from one up to, not including, another; null: all are played. */

@@ -4,7 +4,7 @@
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
- * quality (a share of the pixels and of the Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
+ * quality (a share of the pixels, and fewer Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
  * gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
@@ -538,7 +538,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   #chooseQuality(): void {
     if (this.#pictures === null) return;
     this.#pictures.stage.quality = this.quality;
-    this.#session.send({ type: "detail", share: this.quality });
+    this.#session.send({ type: "detail", share: (1 + this.quality) / 2 }); // Gaussians are missed sooner than pixels
     this.#touch();
   }
 

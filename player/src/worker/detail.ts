@@ -1,4 +1,4 @@
-/** Which Gaussians are drawn where only a share of them is to be: those that cover most, by area and opacity. */
+/** Which Gaussians are drawn where only a share of them is to be: those of the largest width times opacity (DESIGN.md, "Quality"). */
 import type { SceneFrame } from "../scene";
 
 const BINS = 4096;
@@ -34,7 +34,7 @@ export class Detail {
     let [low, high] = [Infinity, -Infinity];
     for (let place = 0; place < count; place++) {
       const [a, b, c] = [logScales[3 * place], logScales[3 * place + 1], logScales[3 * place + 2]];
-      const weight = a + b + c - Math.min(a, b, c) - Math.log1p(Math.exp(-opacityLogits[place]));
+      const weight = (a + b + c - Math.min(a, b, c)) / 2 - Math.log1p(Math.exp(-opacityLogits[place]));
       weights[place] = weight;
       if (weight < low) low = weight;
       if (weight > high) high = weight;
