@@ -75,6 +75,7 @@ test("the timeline shows the keyframe below the pointer, from where the scene is
     globalThis.before = player.shadowRoot.querySelector(".tip canvas").toDataURL();
     player.camera = "cam00";
   });
+  await until(page, "!inside.stage.navigation.jumping");
   await page.mouse.move(box.x + (box.width * 131.5) / 300, box.y + box.height / 2);
   await until(page, "player.shadowRoot.querySelector('.tip canvas').toDataURL() !== globalThis.before");
   assert.deepEqual(page.complaints, []);
