@@ -37,8 +37,9 @@ BLENDER_PYTHON ?= python3.11
 BLENDER_ENV = build/blender-$(BLENDER)
 BLENDER_ADDON := build/decogs-blender.zip
 
-# The compiler of the player's kernel.
+# The compiler of the player's kernel and of wheels for every platform, and what packs and checks these.
 ZIG_ENV := build/zig
+WHEELS := build/wheels
 
 # A second environment that holds only the built wheel, without torch.
 DIST := build/dist
@@ -46,7 +47,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
+.PHONY: help setup demo test lint type layers wheel wheel-check wheels shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
 	blender-addon blender-test clean
 
 help: ## list what can be made
@@ -61,20 +62,20 @@ $(BIN)/python $(USER_BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.10 or later is needed: make PYTHON=python3.12" if sys.version_info < (3, 10) else 0)'
 	$(PYTHON) -m venv $(@:/bin/python=)
 
-# For the demo, kernels of this machine are enough: .venv has all, which tests compare.
-$(USER_READY): export DECOGS_KERNELS := native
+# All kernels, which tests compare; for users and the demo those of this machine are enough.
+$(READY): export DECOGS_KERNELS := all
 
 # Built without isolation, so that the pinned setuptools builds the kernels here too.
 $(READY): $(INSTALLS) $(KERNEL_SOURCES) | $(BIN)/python
 	@echo 'Installing into $(VENV): a few minutes, torch, which the tests need, is large (CONTRIBUTING.md: which torch)'
 	$(BIN)/python $(INSTALL) setuptools
-	$(BIN)/python $(INSTALL) --no-build-isolation -e '.[dev]'
+	$(BIN)/python $(INSTALL) --no-build-isolation -e '.[dev,all]'
 	@touch $@
 
 $(USER_READY): $(INSTALLS) $(KERNEL_SOURCES) | $(USER_BIN)/python
 	@echo 'Installing into $(USER_VENV): a minute, 158 MB to download, and the kernels to compile'
 	$(USER_BIN)/python $(INSTALL) setuptools
-	$(USER_BIN)/python $(INSTALL) --no-build-isolation -e .
+	$(USER_BIN)/python $(INSTALL) --no-build-isolation -e '.[all]'
 	@touch $@
 
 demo: $(USER_READY) ## encode the sample rig, decode its held-out view, export USD, in .venv-user
@@ -111,7 +112,7 @@ player-wasm: $(ZIG_ENV)/ready ## compile what is WebAssembly of that page; after
 
 $(ZIG_ENV)/ready:
 	$(PYTHON) -m venv $(ZIG_ENV)
-	$(ZIG_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet --no-compile ziglang==0.17.0
+	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief
 	@touch $@
 
 # Its unit tests are among pytest's. Without Node, or where its packages cannot be had (no network), all of them are skipped.
@@ -135,6 +136,12 @@ wheel: $(READY) ## build the sdist, and from it the wheel, into build/dist
 	rm -rf $(DIST) && mkdir -p $(DIST)
 	$(BIN)/pyproject-build --no-isolation --outdir $(DIST) > build/wheel.log 2>&1 || { cat build/wheel.log; exit 1; }
 	@ls -l $(DIST)
+
+# Not part of `make test`: minutes of compiling, the first time a quarter of an hour for the C++ library of each platform.
+wheels: $(ZIG_ENV)/ready ## build the sdist and a wheel for every platform into build/wheels, and check their libraries
+	rm -rf $(WHEELS)
+	$(ZIG_ENV)/bin/python release/wheels.py $(WHEELS)
+	$(ZIG_ENV)/bin/python release/check.py $(WHEELS)/*.whl
 
 shell-files: $(READY) ## write the man pages and completions in share/ anew; after a change of any option
 	$(BIN)/python share/build.py

@@ -5,20 +5,24 @@ One library per instruction set (rather than one library with three copies) keep
 functions that were compiled for a newer machine into code that an older one runs. For the same reason each set has a
 C++ namespace of its own: the loader shares thread-local variables of one name between libraries, and a process may load
 several, as tests do.
+
+With DECOGS_TARGET, a name of TARGETS, the wheel is of that platform: Zig compiles and links, on whatever machine
+(``make wheels``).
 """
 
 from __future__ import annotations
 
-import copy
+import ctypes
 import hashlib
 import os
 import platform
-import re
 import shlex
 import shutil
 import subprocess
+import sys
 import sysconfig
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -31,20 +35,13 @@ COMMON_FLAGS = [
     "-g0",
     "-ffp-contract=off",
     "-fno-math-errno",
+    "-fvisibility=hidden",
     "-fvisibility-inlines-hidden",
-    "-pthread",
 ]
-INSTRUCTION_SETS = {"base": []}
-if platform.machine() in ("x86_64", "AMD64"):
-    INSTRUCTION_SETS = {
-        "base": ["-march=x86-64-v2"],
-        "avx2": ["-march=x86-64-v3"],
-        "avx512": ["-march=x86-64-v4", "-mprefer-vector-width=512"],
-    }
-# By Linux's names; the kernels ask the same of the processor (decogs_instruction_set).
-NEEDED_FLAGS = {
-    "avx2": {"avx2", "fma", "bmi2"},
-    "avx512": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
+X86_SETS = {
+    "base": ["-march=x86-64-v2"],
+    "avx2": ["-march=x86-64-v3"],
+    "avx512": ["-march=x86-64-v4", "-mprefer-vector-width=512"],
 }
 KERNELS = {
     "decogs.formats._ycbcr": ("formats/kernel", "ycbcr.cpp"),
@@ -52,18 +49,56 @@ KERNELS = {
     "decogs.encoder.backends.cpu._training": ("encoder/backends/cpu/kernel", "training.cpp"),
     "decogs.encoder.methods.transformation_cache._cache": ("encoder/methods/transformation_cache/kernel", "cache.cpp"),
 }
+ASKED = "decogs.formats._ycbcr"
+"""The kernel whose base build says which instruction sets a machine runs."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A platform that wheels are built for from any other.
+
+    ``zig``: its name there, with the oldest C library or system that will do. ``tag``: the wheel's. ``suffix``: that of
+    Python's own libraries there.
+    """
+
+    zig: str
+    tag: str
+    suffix: str = ".abi3.so"
+
+
+TARGETS = {
+    "linux-x86_64": Target("x86_64-linux-gnu.2.17", "manylinux_2_17_x86_64"),
+    "linux-aarch64": Target("aarch64-linux-gnu.2.17", "manylinux_2_17_aarch64"),
+    "windows-x86_64": Target("x86_64-windows-gnu", "win_amd64", ".pyd"),
+    "macos-x86_64": Target("x86_64-macos.11.0", "macosx_11_0_x86_64"),
+    "macos-arm64": Target("aarch64-macos.11.0", "macosx_11_0_arm64"),
+}
+TARGET = TARGETS[os.environ["DECOGS_TARGET"]] if os.environ.get("DECOGS_TARGET") else None
+
+
+def is_x86() -> bool:
+    return TARGET.zig.startswith("x86_64") if TARGET else platform.machine() in ("x86_64", "AMD64")
+
+
+def is_windows() -> bool:
+    return TARGET.suffix == ".pyd" if TARGET else sys.platform == "win32"
+
+
+INSTRUCTION_SETS = X86_SETS if is_x86() else {"base": []}
+CODE = [] if is_windows() else ["-fPIC", "-pthread"]
+SHARED = ["-shared", *CODE, *(["-Wl,-s"] if TARGET else [])]
 
 
 class BuildKernels(build_ext):
-    """Gives every library an object folder of its own: several are built from one source, side by side.
+    """Compiles and links the libraries by commands of our own, which are the same for every platform.
 
-    With DECOGS_KERNEL_CACHE, a folder, what was built of the same sources with the same flags is not built again: the
+    With DECOGS_KERNEL_CACHE, a folder, what was built of the same sources by the same commands is not built again: the
     checks install the project twice, from the tree and as the wheel that users get.
     """
 
     def run(self) -> None:
-        """Compiles with a compiler that can; CompileError, of one sentence, where there is none."""
-        os.environ["CXX"] = chosen_compiler()
+        """CompileError, of one sentence, where no compiler can."""
+        self.command = chosen_compiler()
         super().run()
 
     def finalize_options(self) -> None:
@@ -71,79 +106,110 @@ class BuildKernels(build_ext):
         build_ext.finalize_options(self)
         self.parallel = self.parallel or os.cpu_count() or 1
 
+    def build_extensions(self) -> None:
+        """The plain set and the widest that this machine runs; by DECOGS_KERNELS=all, and for another platform, all.
+
+        The plain one is what is left if the installation moves to a lesser machine.
+        """
+        if os.environ.get("DECOGS_KERNELS") != "all" and not TARGET:
+            asked = next(ext for ext in self.extensions if ext.name == f"{ASKED}_base")
+            self.build_extension(asked)
+            # Loaded as a copy: the library itself is about to be built once more.
+            with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+                copied = shutil.copy(self.get_ext_fullpath(asked.name), folder)
+                widest = list(INSTRUCTION_SETS)[ctypes.CDLL(copied).decogs_instruction_set()]
+            self.extensions = [ext for ext in self.extensions if ext.name.endswith(("_base", f"_{widest}"))]
+        super().build_extensions()
+
     def build_extension(self, ext: Extension) -> None:
-        mine, library = copy.copy(self), Path(self.get_ext_fullpath(ext.name))
-        mine.build_temp = str(Path(self.build_temp) / ext.name)
-        kept = self._kept(ext)
+        library = Path(self.get_ext_fullpath(ext.name))
+        compiling = [*self.command, *ext.extra_compile_args, *(f"-I{folder}" for folder in ext.include_dirs)]
+        compiling += [*given("CPPFLAGS"), *given("CXXFLAGS"), "-c", *ext.sources]
+        linking = [*self.command, *ext.extra_link_args, *given("LDFLAGS")]
+        kept = kept_as(compiling + linking, [*ext.sources, *sorted(ext.depends)])
         if kept is not None and kept.exists():
-            library.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(kept, library)
+            put(kept, library)
             return
-        build_ext.build_extension(mine, ext)
+        with tempfile.TemporaryDirectory() as folder:
+            compiled, linked = Path(folder, "kernel.o"), Path(folder, library.name)
+            self.spawn([*compiling, "-o", str(compiled)])
+            # Linked without the instruction set: what comes from the C++ library is for every machine.
+            self.spawn([*linking, str(compiled), "-o", str(linked)])
+            put(linked, library)
         if kept is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            growing = kept.with_suffix(".part")
-            shutil.copyfile(library, growing)
-            growing.replace(kept)
+            put(library, kept)
 
-    def _kept(self, ext: Extension) -> Path | None:
-        """Where the cache has this library, or will have it."""
-        if "DECOGS_KERNEL_CACHE" not in os.environ:
-            return None
-        said = [ext.name, *self.compiler.compiler_so_cxx, *ext.extra_compile_args, *ext.extra_link_args]
-        made = hashlib.sha256("\n".join(said).encode())
-        for path in [*ext.sources, *sorted(ext.depends)]:
-            made.update(Path(path).read_bytes())
-        return Path(os.environ["DECOGS_KERNEL_CACHE"], made.hexdigest()[:16])
+    def get_ext_filename(self, fullname: str) -> str:
+        name = super().get_ext_filename(fullname)
+        return name if TARGET is None else str(Path(*fullname.split("."))) + TARGET.suffix
 
 
-def chosen_compiler() -> str:
+def put(source: Path, target: Path) -> None:
+    """Copies a library in one step: what runs with the one that was there goes on with that."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    growing = target.with_name(f"{target.name}.{os.getpid()}.part")
+    shutil.copyfile(source, growing)
+    growing.chmod(0o755)
+    growing.replace(target)
+
+
+def given(variable: str) -> list[str]:
+    """More options for the compiler, as packagers set them."""
+    return shlex.split(os.environ.get(variable, ""))
+
+
+def kept_as(commands: list[str], files: list[str]) -> Path | None:
+    """Where the cache has what these commands make of these files, or will have it."""
+    if "DECOGS_KERNEL_CACHE" not in os.environ:
+        return None
+    made = hashlib.sha256("\n".join(word for word in commands if word != sys.executable).encode())
+    for path in files:
+        made.update(Path(path).read_bytes())
+    return Path(os.environ["DECOGS_KERNEL_CACHE"], made.hexdigest()[:16])
+
+
+def chosen_compiler() -> list[str]:
     """The compiler that CXX names, or else the first that compiles the kernels: Python's own, g++, c++, clang++."""
+    if TARGET:
+        return [sys.executable, "-m", "ziglang", "c++", "-target", TARGET.zig]
     named = os.environ.get("CXX")
     candidates = [named] if named else [sysconfig.get_config_var("CXX") or "g++", "g++", "c++", "clang++"]
-    there = [command for command in candidates if shutil.which(shlex.split(command)[0])]
+    there = [words for command in candidates if shutil.which((words := shlex.split(command))[0])]
     able = next(filter(compiles_kernels, there), None)
     if able is not None:
         return able
     if there:
-        problem = f"the C++ compiler {there[0]} cannot compile decogs' kernels (C++17 for {platform.machine()})"
+        problem = f"the C++ compiler {there[0][0]} cannot compile decogs' kernels (C++17 for {platform.machine()})"
     else:
         problem = f"a C++ compiler is missing{f': CXX names {named}' if named else ''}"
-    raise CompileError(
-        f"{problem}; install g++ 11 or later (Debian, Ubuntu: apt install g++; Fedora: dnf install gcc-c++) "
-        "or clang 12 or later, and try again"
-    )
+    raise CompileError(f"{problem}; {how_to_get_one()}, and try again")
 
 
-def compiles_kernels(command: str) -> bool:
+def how_to_get_one() -> str:
+    """What to install, on this system."""
+    if sys.platform == "darwin":
+        return "install Apple's (xcode-select --install)"
+    if sys.platform == "win32":
+        return "install g++ 11 or later (of MinGW-w64)"
+    return "install g++ 11 or later (Debian, Ubuntu: apt install g++; Fedora: dnf install gcc-c++) or clang 12 or later"
+
+
+def compiles_kernels(command: list[str]) -> bool:
     """Whether a compiler knows the language and the instruction sets, and finds the C++ library."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder, "probe.cpp")
         source.write_text("#include <optional>\nstd::optional<int> probe() { return 1; }\n")
         for flags in INSTRUCTION_SETS.values():
-            compiled = [*shlex.split(command), *COMMON_FLAGS, *flags, "-fPIC", "-shared", str(source), "-o"]
-            if subprocess.run([*compiled, f"{folder}/probe.so"], capture_output=True).returncode:
+            compiled = [*command, *COMMON_FLAGS, *flags, *SHARED, str(source), "-o", f"{folder}/probe.so"]
+            if subprocess.run(compiled, capture_output=True).returncode:
                 return False
     return True
 
 
-def of_this_machine() -> str:
-    """The widest set that it runs, by the flags that Linux tells."""
-    listed = re.search(r"^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
-    flags = set(listed[1].split()) if listed else set()
-    runs = ["base", *(name for name, needed in NEEDED_FLAGS.items() if needed <= flags)]
-    return runs[-1]
-
-
-def chosen(name: str) -> dict[str, list[str]]:
-    """The sets to build a kernel for: all, or with DECOGS_KERNELS=native this machine's and what finds out which it is.
-
-    Compiling for all takes minutes, which who only wants to see the demo need not wait.
-    """
-    if os.environ.get("DECOGS_KERNELS") != "native" or len(INSTRUCTION_SETS) == 1:
-        return INSTRUCTION_SETS
-    wanted = {of_this_machine()} | ({"base"} if name.endswith("._ycbcr") else set())
-    return {name: flags for name, flags in INSTRUCTION_SETS.items() if name in wanted}
+def flags_of(instruction_set: str) -> list[str]:
+    """What tells the compiler of this set; Zig spells processors by its own rules."""
+    flags = INSTRUCTION_SETS[instruction_set]
+    return [flag.replace("x86-64-", "x86_64_") for flag in flags] if TARGET else flags
 
 
 def kernels() -> list[Extension]:
@@ -154,18 +220,24 @@ def kernels() -> list[Extension]:
             [f"{folder}/{source}"],
             include_dirs=["decoder/rasterise/kernel", "encoder/backends/cpu/kernel"],
             depends=headers,
-            extra_compile_args=[*COMMON_FLAGS, f"-Ddecogs=decogs_{instruction_set}", *flags],
-            extra_link_args=["-pthread"],
+            extra_compile_args=[
+                *COMMON_FLAGS,
+                *CODE,
+                f"-Ddecogs=decogs_{instruction_set}",
+                *flags_of(instruction_set),
+            ],
+            extra_link_args=SHARED,
             language="c++",
             py_limited_api=True,
         )
         for name, (folder, source) in KERNELS.items()
-        for instruction_set, flags in chosen(name).items()
+        for instruction_set in INSTRUCTION_SETS
     ]
 
 
-setup(
-    ext_modules=kernels(),
-    cmdclass={"build_ext": BuildKernels},
-    options={"bdist_wheel": {"py_limited_api": "cp310"}},
-)
+if __name__ == "__main__":
+    setup(
+        ext_modules=kernels(),
+        cmdclass={"build_ext": BuildKernels},
+        options={"bdist_wheel": {"py_limited_api": "cp310"} | ({"plat_name": TARGET.tag} if TARGET else {})},
+    )

@@ -20,6 +20,7 @@ from decogs.formats.rotations import is_orthonormal
 from .corrections import EFFECT_FIELDS, LARGEST, CorrectedCameras, Correction, Corrections
 from .lattice import Lattice, Vector
 from .presentation import Presentation, read_presentation
+from .sound import SoundTrack, read_sound_tracks
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_CAMERAS = 1024
@@ -58,7 +59,8 @@ class StreamHeader:
     display-referred RGB; ``corrected``: the cameras whose corrections every frame codes; ``camera_colours``: by camera,
     how its exposure, red and blue differ from the scene's in every frame; ``settings``: the encoder's own, for people,
     never needed for decoding; ``subject``: the scene is a subject without its surroundings, its alpha what it covers;
-    ``presentation``: how it wants to be shown.
+    ``presentation``: how it wants to be shown; ``sound``: the tracks that are played together, which packets beside the
+    frames hold.
     """
 
     cameras: tuple[Camera, ...]
@@ -79,6 +81,7 @@ class StreamHeader:
     camera_colours: Corrections = field(default_factory=dict)
     subject: bool = False
     presentation: Presentation = field(default_factory=Presentation)
+    sound: tuple[SoundTrack, ...] = ()
 
     @property
     def near_planes(self) -> dict[str, float]:
@@ -111,6 +114,7 @@ class StreamHeader:
             **({"presentation": shown} if (shown := self.presentation.as_document()) else {}),
             "settings": dict(self.settings),
             "sh_degree": self.sh_degree,
+            **({"sound": [track.as_document() for track in self.sound]} if self.sound else {}),
             "source_text": self.source_text,
             **({"subject": True} if self.subject else {}),
             "units": self.units,
@@ -121,8 +125,11 @@ class StreamHeader:
         except ValueError as error:
             raise StreamError(Reason.BAD_HEADER, f"the header cannot be written: {error}") from error
         payload = text.encode("ascii")
-        if StreamHeader.from_bytes(payload).presentation != self.presentation:
+        read = StreamHeader.from_bytes(payload)
+        if read.presentation != self.presentation:
             _refuse("a member of presentation is out of its bounds")
+        if read.sound != self.sound:
+            _refuse("sound is out of its bounds, or lacks a frame rate of at least 1")
         return payload
 
     @staticmethod
@@ -154,6 +161,8 @@ class StreamHeader:
         names = [camera.name for camera in header.cameras]
         if fields.has("presentation"):
             header = replace(header, presentation=read_presentation(fields.value("presentation"), names))
+        if fields.has("sound"):
+            header = replace(header, sound=read_sound_tracks(fields.value("sound"), header.fps))
         if len(set(names)) != len(names):
             _refuse("two cameras have the same name")
         if not set(header.held_out) <= set(names):

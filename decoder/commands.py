@@ -56,14 +56,14 @@ def decode_parser() -> Parser:
     parser = Parser(
         prog="decogs-decode",
         description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
-        epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr, .mp4, .mov, .y4m or "
-        ".rgb; x_####.exr, x_%04d.exr and x_$F4.exr number files by frame; - writes Y4M to stdout. A pose file is "
-        "described in decogs.decoder.free_camera.",
+        epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr, .mp4, .mov, .y4m, .rgb, "
+        "or .wav for the sound alone; x_####.exr, x_%04d.exr and x_$F4.exr number files by frame; - writes Y4M to "
+        "stdout. A pose file is described in decogs.decoder.free_camera.",
     )
     parser.add_argument("stream", help="the .dgs file; - for stdin")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder or file to write, - for stdout")
     parser.add_quiet()
-    _add_camera(parser.add_argument_group("camera (one of the first four is needed)"))
+    _add_camera(parser.add_argument_group("camera (one of the first four is needed for pictures)"))
     _add_pictures(parser.add_argument_group("frames and pictures"))
     _add_video(parser.add_argument_group("video"))
     _add_trust(parser.add_argument_group("machine and damage"), threads=True)
@@ -71,7 +71,7 @@ def decode_parser() -> Parser:
 
 
 def _add_camera(group: argparse._ArgumentGroup) -> None:
-    view = group.add_mutually_exclusive_group(required=True)
+    view = group.add_mutually_exclusive_group()
     view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
     view.add_argument(
         "--camera", metavar="FILE", help="a free camera or a path of them: pose.json, nerfstudio, USD (docs/cameras.md)"
@@ -139,7 +139,11 @@ def _add_video(group: argparse._ArgumentGroup) -> None:
         choices=("420", "444"),
         help="chroma of H.264 and HEVC: 420 plays in all browsers (default), 444 is closer to the PNGs",
     )
-    group.add_argument("--audio", metavar="FILE", help="sound for the video, from frame 0 on")
+    sound = group.add_mutually_exclusive_group()
+    sound.add_argument(
+        "--audio", metavar="FILE", help="sound for the video, from frame 0 on, instead of the stream's own"
+    )
+    sound.add_argument("--silent", action="store_true", help="leave out the stream's sound")
 
 
 def export_main(arguments: Sequence[str] | None = None) -> int:
@@ -261,6 +265,9 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
     from .following import DEFAULT_IDLE
     from .video_output import VideoSettings
 
+    if options.output.lower().endswith(".wav"):
+        _decode_sound(parser, options)
+        return
     started = time.perf_counter()
     output = path_or_pipe(options.output, "the video")
     audio = None if options.audio is None else Path(options.audio)
@@ -269,7 +276,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             standard_input() if options.stream == "-" else options.stream,
             output,
             layout=_layout(options),
-            video=VideoSettings(options.codec, options.crf, options.chroma, audio),
+            video=VideoSettings(options.codec, options.crf, options.chroma, audio, options.silent),
             view=options.view,
             camera=options.camera,
             move=options.move,
@@ -292,6 +299,27 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
         f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s",
         to_stderr=options.output == "-",
     )
+
+
+def _decode_sound(parser: Parser, options: argparse.Namespace) -> None:
+    from .sound.extracting import decode_sound
+
+    wanted = {"view": options.view, "camera": options.camera, "audio": options.audio, "follow": options.follow or None}
+    for name, value in {**wanted, "move": options.move}.items():
+        if value is not None:
+            raise UsageError(f"{options.output}: is the stream's sound, for which there is no `{name}`; leave it out")
+    with progress("decoding", quiet=options.quiet) as on_frame:
+        report = decode_sound(
+            whole_file(options.stream),
+            options.output,
+            frames=frame_range(options.frames),
+            strict=options.strict,
+            max_memory=options.max_memory,
+            on_frame=on_frame,
+            on_warning=warn_as(parser),
+        )
+    frames, tracks = counted(report.frame_count, "frame"), counted(report.track_count, "track")
+    print_text(f"{printable(options.output)}: {tracks} of {frames}, {report.seconds:.2f} s")
 
 
 def _layout(options: argparse.Namespace) -> Layout | None:

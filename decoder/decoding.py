@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, Union
+from typing import TYPE_CHECKING, BinaryIO, Union
 
 from decogs.codec.header import StreamHeader
 from decogs.formats.callbacks import OnProgress, OnWarning
@@ -17,6 +17,7 @@ from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.length_units import metres_of
 from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.splats import FloatArray
 
 from .camera_files import camera_file, read_camera_file
 from .camera_moves import Move, camera_move
@@ -36,8 +37,12 @@ from .layouts import Layout
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import PictureSink, open_sink
 from .shots import Colour, Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
-from .subject import AnyStream, SubjectOfStream
+from .sound.samples import heard_in
+from .stream import Stream
 from .video_output import VideoSettings
+
+if TYPE_CHECKING:
+    from .subject import AnyStream
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
 """A file of cameras, one camera for every frame, one per frame, or a path."""
@@ -89,9 +94,9 @@ def decode(
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
     show the last good one. ``layout``: a picture of several renderings (``decogs.decoder.layouts``). ``video`` says how
-    a video is encoded, and which audio it has. An ``output`` that is an open file takes uncompressed video.
-    ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage and a
-    video that is not as good as it could be.
+    a video is encoded, and what is heard instead of the stream's own sound. An ``output`` that is an open file takes
+    uncompressed video. ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and
+    ``on_warning(text)`` damage and a video that is not as good as it could be.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
     (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
@@ -128,14 +133,23 @@ def decode(
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count, max_memory)
         shown: AnyStream = opened
         if subject is not None:
+            from .subject import SubjectOfStream
+
             shown = SubjectOfStream(opened, Path(subject), every, on_warning)
             read += shown.files_read()
         chosen, shots = _chosen_shots(shown, wanted, frames)
         first = picture_camera(shown.header, wanted, show)
         fps = _rate(shown.header, wanted)
-        sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
         cut_out = _is_cut_out(shown.header, show)
-        with open_sink(output, view=first.name, frames=len(chosen), fps=fps, video=sound, cut_out=cut_out) as sink:
+        with open_sink(
+            output,
+            view=first.name,
+            frames=len(chosen),
+            fps=fps,
+            video=video,
+            cut_out=cut_out,
+            sound=_sound(opened, video, wanted, chosen, on_warning),
+        ) as sink:
             _check_files(sink, chosen, read)
             static = _static(shown, on_warning) if sink.has_layers else None
             taken = _taken(shown.header, shots(sink.has_layers), wanted, show, sink, static)
@@ -163,9 +177,9 @@ def _decode_growing(
         )
     first, done = picture_camera(stream.header, wanted, show), 0
     fps = _rate(stream.header, wanted)
-    sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
     cut_out = _is_cut_out(stream.header, show)
-    with open_sink(output, view=first.name, frames=None, fps=fps, video=sound, cut_out=cut_out) as sink:
+    sound = _sound(stream, video, wanted, chosen, on_warning)
+    with open_sink(output, view=first.name, frames=None, fps=fps, video=video, cut_out=cut_out, sound=sound) as sink:
         shots = shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
         coming = _unread(shots, sink, read)
         for _ in _taken(stream.header, coming, wanted, show, sink, None):
@@ -179,6 +193,30 @@ def _decode_growing(
     if on_warning is not None and not stream.ended and (chosen.stop is None or chosen.start + done < chosen.stop):
         on_warning(f"{stream.name}: nothing more came, and no end packet; {done} pictures were written")
     return DecodeReport(_path(output), first.name, done, first.width, first.height)
+
+
+def _sound(
+    stream: Stream | GrowingStream,
+    video: VideoSettings,
+    wanted: str | CameraPath,
+    chosen: range | slice,
+    on_warning: OnWarning | None,
+) -> Iterator[FloatArray] | None:
+    """What is heard with the pictures: a file, or the stream's own sound where pictures play at its rate."""
+    header = stream.header
+    if video.audio is not None:
+        from decogs.formats.soundtracks import read_samples
+
+        return read_samples(video.audio, 2, begin=chosen.start / (_rate(header, wanted) or DEFAULT_FPS))
+    if video.silent or not header.sound or header.fps is None:
+        return None
+    if isinstance(wanted, CameraPath) and (wanted.times is not None or _rate(header, wanted) != header.fps):
+        if on_warning is not None:
+            on_warning(f"{wanted.source}: has times of its own, with which the stream's sound does not go; left out")
+        return None
+    if isinstance(stream, GrowingStream):
+        return stream.heard(chosen.start)
+    return heard_in(stream, range(chosen.start, chosen.stop))
 
 
 def _chosen_shots(

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
@@ -34,7 +34,9 @@ from decogs.formats.usd_prims import FLAVOURS, Flavour
 from .frame_choice import open_chosen
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import DEFAULT_FPS
-from .subject import AnyStream, SubjectOfStream
+
+if TYPE_CHECKING:
+    from .subject import AnyStream
 
 _LAST_NUMBER = 2**31 - 1
 _CHUNK = 1 << 20
@@ -140,7 +142,11 @@ def export(
         numbers = [first_frame + frame for frame in chosen]
         names = _names(target, suffix, numbers)
         outputs = [Output("output", name) for name in names] or [Output("output", target)]
-        shown = opened if subject is None else SubjectOfStream(opened, Path(subject), chosen, on_warning)
+        shown: AnyStream = opened
+        if subject is not None:
+            from .subject import SubjectOfStream
+
+            shown = SubjectOfStream(opened, Path(subject), chosen, on_warning)
         check_outputs(outputs, [(Path(stream), "is read, as `stream`")])
         if suffix in USD_SUFFIXES:
             return _export_usd(plan, shown, chosen, Path(stream))

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, TypeVar
 
 from decogs.codec.frame_payload import split_payload
+from decogs.codec.sound import read_sound
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -35,6 +36,7 @@ from decogs.formats.survey import check_lost, check_places, next_past_damage, pa
 from .damage import Concealment, Damage, OnDamage, errors_name
 from .frame import DecodedFrame, decode_frame
 from .limits import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
+from .sound.following import ComingSound
 from .stream import in_its_world, read_header
 
 DEFAULT_IDLE = 600.0
@@ -77,11 +79,23 @@ class GrowingStream:
         self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, DEFAULT_MAX_GAUSSIANS)
         self._limits |= {self._max_gaussians} - {DEFAULT_MAX_GAUSSIANS}
         self._first: State | None = None
+        self._sound: ComingSound | None = None
+        self._is_over = False
 
     @property
     def ended(self) -> bool:
         """Whether the end packet has been read."""
         return self._reader.ended
+
+    def heard(self, first: int = 0) -> ComingSound:
+        """What is heard in the frames from ``first`` on, as far as they are over; the stream has sound.
+
+        Asked for before `frames`, which brings it.
+        """
+        assert self.header.fps is not None
+        known = lambda: self.frame_count if self._is_over else self.frame_count - 1  # noqa: E731
+        self._sound = ComingSound(self.header.sound, self.header.fps, first, known)
+        return self._sound
 
     def frames(self) -> Iterator[DecodedFrame]:
         """The frames from the first on, each when it has come; ends with the stream, or when nothing more comes.
@@ -99,6 +113,7 @@ class GrowingStream:
                 for held in self._lost_before(packet, shown, errors):
                     shown, self.frame_count = held, held.index + 1
                     yield held
+                self._is_over = packet is None or packet.kind == PacketKind.END
                 if packet is None:
                     return
                 if packet.kind in FRAME_KINDS:
@@ -117,6 +132,9 @@ class GrowingStream:
                 errors.append(self._accepted(found))
                 if self.ended:
                     break
+            elif found.kind == PacketKind.SOUND:
+                if self._sound is not None and found.frame == expected - 1:
+                    self._hear(found, self._sound, errors)
             elif found.kind in FRAME_KINDS or found.kind == PacketKind.END:
                 repeated = found.kind in FRAME_KINDS and found.frame < expected
                 disorder = _disorder(found, expected)
@@ -126,6 +144,12 @@ class GrowingStream:
                 if not repeated:
                     return found, errors
         return None, errors
+
+    def _hear(self, packet: Packet, sound: ComingSound, errors: list[StreamError]) -> None:
+        try:
+            sound.take(packet.frame, read_sound(packet, self.header.sound))
+        except StreamError as error:
+            errors.append(self._accepted(error))
 
     def _lost_before(
         self, packet: Packet | None, before: DecodedFrame | None, errors: list[StreamError]

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.errors import UsageError
@@ -15,7 +16,9 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from .damage import OnDamage
 from .frame import DecodedFrame
 from .stream import Stream, open_stream
-from .subject import AnyStream
+
+if TYPE_CHECKING:
+    from .subject import AnyStream
 
 
 @contextmanager

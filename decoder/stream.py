@@ -21,6 +21,7 @@ from decogs.formats.container import (
     PacketReader,
     check_count,
     end_fields,
+    end_of_packet,
     read_index,
     scan_index,
     stops_inside,
@@ -34,6 +35,7 @@ from .damage import Concealment, Damage, OnDamage, errors_name
 from .frame import DecodedFrame, decode_frame
 from .frame_packets import WRONG_INDEX, FileFrom, FramePackets
 from .limits import DEFAULT_MAX_MEMORY, frames_within, gaussians_within, limits_explained, payload_within
+from .sound.packets import FrameSound, sound_behind
 
 
 class Stream:
@@ -129,6 +131,27 @@ class Stream:
             self._check_open()
             with self._errors_named():
                 frame = self._following(frame, packets)
+
+    def sounds(self, start: int = 0, stop: int | None = None) -> Iterator[FrameSound]:
+        """The sound of each frame from ``start`` up to ``stop``; nothing else is read. Damaged packets are left out.
+
+        A frame's sound is right after those before it (`decoder.sound.samples.frames_before`). Raises as `frames`.
+        """
+        self._check_open()
+        for frame in range(start, self.frame_count if stop is None else stop):
+            with self._errors_named():
+                yield self._sound_of(frame)
+
+    def _sound_of(self, frame: int) -> FrameSound:
+        entry, after = self._survey.entry(frame), self._survey.entry(frame + 1)
+        if entry is None or not self.header.sound:
+            return ()
+        try:
+            reader = self._reader(end_of_packet(self._file, entry.offset))
+        except StreamError as error:
+            self._pass_over(error)
+            return ()
+        return sound_behind(frame, reader, None if after is None else after.offset, self.header.sound, self._pass_over)
 
     def _opening(self, start: int, packets: FramePackets) -> DecodedFrame:
         """The last keyframe at or before ``start`` that can be reconstructed."""

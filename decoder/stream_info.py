@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from decogs.codec.header import StreamHeader
+from decogs.codec.sound import BLOCK, RATE, SoundTrack
 from decogs.codec.state import GROUPS
 from decogs.formats.callbacks import OnProgress
+from decogs.formats.container import PACKET_OVERHEAD
 
 from .damage import Damage
 from .frame import DecodedFrame
 from .limits import DEFAULT_MAX_MEMORY
-from .stream import open_stream
+from .stream import Stream, open_stream
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,24 @@ class ByteTable:
 
 
 @dataclass(frozen=True)
+class SoundInfo:
+    """One track of sound: seconds in which it is there, and the bytes of its packets on disk."""
+
+    track: SoundTrack
+    seconds: float
+    bytes: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {**self.track.as_document(), "rate": RATE, "seconds": self.seconds, "bytes": self.bytes}
+
+
+@dataclass(frozen=True)
 class StreamInfo:
-    """A whole stream; every frame that is not lost was reconstructed and its digest verified."""
+    """A whole stream; every frame that is not lost was reconstructed and its digest verified.
+
+    ``sounds``: its tracks of sound; they are among the bytes of the container.
+    """
 
     path: Path
     file_bytes: int
@@ -102,6 +120,7 @@ class StreamInfo:
     header: StreamHeader
     frames: tuple[FrameInfo, ...]
     damage: tuple[Damage, ...] = ()
+    sounds: tuple[SoundInfo, ...] = ()
 
     @property
     def totals(self) -> dict[str, Any]:
@@ -169,6 +188,7 @@ class StreamInfo:
                 "effects": list(header.effects),
                 "subject": header.subject,
                 "presentation": header.presentation.as_document(),
+                "sound": [sound.to_json() for sound in self.sounds],
                 "lattice": {name: _plain(value) for name, value in vars(header.lattice).items()},
                 "units": header.units,
                 "axes": header.axes,
@@ -222,7 +242,19 @@ def info(
             opened.header,
             tuple(frames),
             tuple(found),
+            _sounds(opened),
         )
+
+
+def _sounds(stream: Stream) -> tuple[SoundInfo, ...]:
+    tracks = stream.header.sound
+    blocks, sizes = [0] * len(tracks), [0] * len(tracks)
+    for packets in stream.sounds():
+        for packet in packets:
+            blocks[packet.track] += len(packet.blocks)
+            sizes[packet.track] += PACKET_OVERHEAD + len(packet.payload())
+    seconds = [count * BLOCK / RATE for count in blocks]
+    return tuple(SoundInfo(*each) for each in zip(tracks, seconds, sizes, strict=True))
 
 
 def _frame_info(frame: DecodedFrame) -> FrameInfo:

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from decogs.codec.header import StreamHeader
+from decogs.codec.sound import RATE
 from decogs.formats.command_line import printable, size_text
 
-from .stream_info import FrameInfo, StreamInfo
+from .stream_info import FrameInfo, SoundInfo, StreamInfo
 
 
 def summary_lines(facts: StreamInfo) -> Iterator[str]:
@@ -29,6 +30,8 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
         yield f"camera       {camera.name}  {camera.width}x{camera.height}{lens}" + _coded_effects(camera.name, header)
     for name, value in header.presentation.as_document().items():
         yield f"{name.replace('_', ' '):<12} {printable(str(value))}"
+    for sound in facts.sounds:
+        yield f"sound        {printable(_sound(sound))}"
     if header.subject:
         yield "subject      without a background, with alpha"
     yield f"colour       SH degree {header.sh_degree}, background {','.join(f'{c:g}' for c in header.background)}"
@@ -55,6 +58,14 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
         yield f"share touched, mean       {totals['mean_touched_fraction']:.2%}"
     for purpose, count in sorted(totals["bytes_by_purpose"].items(), key=lambda item: -item[1]):
         yield f"bytes of {purpose:<22} {count:>10}  {count / max(1, facts.file_bytes):6.1%}"
+
+
+def _sound(sound: SoundInfo) -> str:
+    track = sound.track
+    place = "" if track.position is None else f", at {','.join(f'{value:g}' for value in track.position)}"
+    title = f"{track.title}: " if track.title else ""
+    channels = ("mono", "stereo")[track.channels - 1]
+    return f"{title}Opus, {channels}, {RATE} Hz, {sound.seconds:.2f} s, {size_text(sound.bytes)}{place}"
 
 
 def _coded_effects(name: str, header: StreamHeader) -> str:

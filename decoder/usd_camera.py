@@ -53,6 +53,7 @@ def usd_camera_path(path: Path, name: str | None, film: ToFilm, max_memory: int)
     if not path.is_file():
         raise UsageError(f"{path}: cannot be read; name a USD file with a camera")
     width = film.cameras[0].width
+    load_openusd()  # Where it is not installed, that is what is said.
     try_apart(_read_for_trial, path, name, width, film.metres, max_memory, max_memory=max_memory)
     return _read(path, name, film, max_memory)
 

@@ -61,32 +61,37 @@ _RED, _GREEN, _BLUE = 0.2126, 0.7152, 0.0722
 """Luma of BT.709."""
 _SAMPLE_RATE = 48_000
 _SOUND_BITS = 256_000
-_SOUND_FORMATS = "aac,aiff,avi,caf,flac,matroska,mov,mp3,mpeg,mpegts,mxf,ogg,w64,wav"
-"""FFmpeg's readers of files that hold sound themselves."""
 _BLOCK = 1024
 
 
 @dataclass(frozen=True)
 class VideoSettings:
-    """How a video is encoded; None: by the file's kind. ``begin``: seconds of ``audio`` before the first picture."""
+    """How a video is encoded; None: by the file's kind.
+
+    ``audio``: a file that is heard instead of the stream's own sound; ``silent``: neither is.
+    """
 
     codec: Codec | None = None
     crf: float | None = None
     chroma: Chroma | None = None
     audio: Path | None = None
-    begin: float = 0.0
+    silent: bool = False
 
     @property
     def is_plain(self) -> bool:
         """Whether nothing was asked for that only FFmpeg can do."""
-        return self.codec is None and self.crf is None and self.chroma is None and self.audio is None
+        return (
+            self.codec is None and self.crf is None and self.chroma is None and self.audio is None and not self.silent
+        )
 
 
 def check_settings(suffix: str, settings: VideoSettings) -> None:
     """Raises UsageError for what a file of this suffix cannot be; any but .mp4 and .mov is no video of FFmpeg's."""
     if suffix not in CODECS:
         if not settings.is_plain:
-            raise UsageError("`codec`, `crf`, `chroma` and `audio` are for videos; name the output .mp4 or .mov")
+            raise UsageError(
+                "`codec`, `crf`, `chroma`, `audio` and `silent` are for videos; name the output .mp4 or .mov"
+            )
         return
     if settings.codec is not None and settings.codec not in CODECS[suffix]:
         raise UsageError(f"`codec` {settings.codec}: a {suffix} file holds {' or '.join(CODECS[suffix])}")
@@ -100,12 +105,14 @@ def check_settings(suffix: str, settings: VideoSettings) -> None:
 
 
 class Movie:
-    """A video file that takes pictures in order, and the sound beside them."""
+    """A video file that takes pictures in order, and the stereo samples (2, N) at 48 kHz that ``sound`` gives."""
 
-    def __init__(self, path: Path, fps: float, settings: VideoSettings) -> None:
+    def __init__(
+        self, path: Path, fps: float, settings: VideoSettings, sound: Iterator[FloatArray] | None = None
+    ) -> None:
         import av
 
-        self._path, self._settings = path, settings
+        self._path, self._settings, self._samples = path, settings, sound
         self._rate = Fraction(fps).limit_denominator(1001)
         self.codec: Codec = settings.codec or CODECS[path.suffix.lower()][0]
         self._stream: Any = None
@@ -133,7 +140,7 @@ class Movie:
         with _explained(self._path):
             self._container.mux(self._stream.encode(None))
             if self._sound is not None:
-                self._sound.finish()
+                self._sound.finish(self._pictures / self._rate)
             self._container.close()
 
     def _begin(self, height: int, width: int, channels: int) -> None:
@@ -150,8 +157,9 @@ class Movie:
         context.time_base = 1 / self._rate
         stream.options = self._options(stream.codec_context.name, width * height * float(self._rate))
         self._stream = stream
-        if self._settings.audio is not None:
-            self._sound = _Sound(self._settings.audio, self._settings.begin, self._container)
+        if self._samples is not None:
+            with _explained(self._path):
+                self._sound = _Sound(self._samples, self._container, self._path)
 
     def _pixels(self) -> str:
         if self.codec == "prores":
@@ -231,33 +239,21 @@ def _halved_columns(values: FloatArray) -> FloatArray:
 
 
 class _Sound:
-    """The sound of a file from some second on, as AAC, in step with the pictures."""
+    """Stereo ``samples`` as AAC, in step with the pictures; ``samples`` may have more to give when asked again."""
 
-    def __init__(self, path: Path, begin: float, container: Any) -> None:
-        import av
-
-        from decogs.formats.videos import ANY_TEXT
-
-        self._path, self._container, self._written = path, container, 0
-        with _explained(path, "cannot be read as audio"):
-            # FFmpeg would take "concat:a.wav" or an address for what it is in its own language.
-            # Nor may a list of other files pass for sound.
-            only = {"protocol_whitelist": "file", "format_whitelist": _SOUND_FORMATS}
-            self._input = av.open(f"file:{path}", container_options=only, **ANY_TEXT)
-            if not self._input.streams.audio:
-                raise UsageError(f"{path}: has no sound; name an audio file, or leave out `audio`")
-            self._output = container.add_stream("aac", rate=_SAMPLE_RATE, layout="stereo")
+    def __init__(self, samples: Iterator[FloatArray], container: Any, path: Path) -> None:
+        self._samples, self._container, self._path, self._written = samples, container, path, 0
+        self._output = container.add_stream("aac", rate=_SAMPLE_RATE, layout="stereo")
         self._output.bit_rate = _SOUND_BITS
         self._waiting = np.zeros((2, 0), np.float32)
-        self._blocks = self._samples(round(begin * _SAMPLE_RATE))
 
     def until(self, seconds: Fraction) -> None:
-        """Writes what is heard up to there, as far as the file goes."""
+        """Writes what is heard up to there, as far as it has come."""
         end = round(seconds * _SAMPLE_RATE)
         while self._written < end:
             wanted = min(_BLOCK, end - self._written)
             while self._waiting.shape[1] < wanted:
-                block = next(self._blocks, None)
+                block = next(self._samples, None)
                 if block is None:
                     break
                 self._waiting = np.concatenate([self._waiting, block], axis=1)
@@ -266,40 +262,27 @@ class _Sound:
                 return
             self._encode(taken)
 
-    def finish(self) -> None:
-        """Writes what the encoder holds back."""
-        with _explained(self._path, "cannot be read as audio"):
+    def finish(self, seconds: Fraction) -> None:
+        """Writes the rest of it, and what the encoder holds back."""
+        self.until(seconds)
+        with _explained(self._path):
             self._container.mux(self._output.encode(None))
-        self._input.close()
 
     def _encode(self, samples: NDArray[np.float32]) -> None:
         import av
 
         frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(samples), format="fltp", layout="stereo")
         frame.sample_rate, frame.pts, frame.time_base = _SAMPLE_RATE, self._written, Fraction(1, _SAMPLE_RATE)
-        with _explained(self._path, "cannot be read as audio"):  # samples that are no numbers
+        with _explained(self._path):
             self._container.mux(self._output.encode(frame))
         self._written += samples.shape[1]
 
-    def _samples(self, skipped: int) -> Iterator[NDArray[np.float32]]:
-        """Stereo samples (2, N), without the first ``skipped``."""
-        import av
-
-        resampler = av.AudioResampler(format="fltp", layout="stereo", rate=_SAMPLE_RATE)
-        with _explained(self._path, "cannot be read as audio"):
-            for frame in self._input.decode(audio=0):
-                for resampled in resampler.resample(frame):
-                    block = resampled.to_ndarray()
-                    if skipped < block.shape[1]:
-                        yield block[:, skipped:]
-                    skipped = max(0, skipped - block.shape[1])
-
 
 class _explained:
-    """What FFmpeg says of a file, as one line of ours."""
+    """What FFmpeg says of a file that it writes, as one line of ours."""
 
-    def __init__(self, path: Path, what: str = "cannot be written") -> None:
-        self._path, self._what = path, what
+    def __init__(self, path: Path) -> None:
+        self._path = path
 
     def __enter__(self) -> None:
         """Nothing to prepare."""
@@ -309,8 +292,7 @@ class _explained:
 
         if isinstance(error, (av.FFmpegError, ValueError)) and not isinstance(error, UsageError):
             said = getattr(error, "strerror", None) or str(error)
-            name = self._path if "read" in self._what else self._path.name
-            raise UsageError(f"{name}: {self._what} ({said}); choose another file") from None
+            raise UsageError(f"{self._path.name}: cannot be written ({said}); choose another file") from None
 
 
 def _encoder(codec: Codec, path: Path) -> str:

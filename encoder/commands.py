@@ -27,12 +27,13 @@ from decogs.formats.command_line import (
 )
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.frame_ranges import frame_range
-from decogs.formats.rigs import Rig, open_live, open_rig
 
 from .input.mattes.options import add_matte_options, matte_choice
 from .synchronisation.commands import add_sync_option, rig_in_step
 
 if TYPE_CHECKING:
+    from decogs.formats.rigs import Rig
+
     from .job import EncodeJob
     from .output.observer import EncodeObserver
     from .output.reports import EncodeReport
@@ -83,6 +84,12 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
+    )
+    group.add_argument(
+        "--audio",
+        metavar="A",
+        help="sound for the stream: a camera's name, auto (the camera whose sound is clearest), a file, which begins "
+        "with the rig's first frame, or none (default)",
     )
     add_sync_option(group)
     group.add_argument(
@@ -372,7 +379,19 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
         option_names[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
-    same = ["settings", "scale", "holdout", "exclude", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
+    same = [
+        "settings",
+        "audio",
+        "scale",
+        "holdout",
+        "exclude",
+        "effects",
+        "keyframe",
+        "segment",
+        "closed",
+        "resume",
+        "metrics",
+    ]
     same += ["seed", "threads", "device", "max_memory", "log", "convergence_log"]
     job = EncodeJob(
         rig,
@@ -424,6 +443,8 @@ def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObs
 
 def _rig(options: argparse.Namespace) -> Rig | str:
     """The rig's folder, or the rig whose cameras are recording, with the effects that frames decide for themselves."""
+    from decogs.formats.rigs import open_live
+
     from .option_texts import seconds_per_frame
     from .settings.effects import PRESET_EFFECTS
 
@@ -431,8 +452,9 @@ def _rig(options: argparse.Namespace) -> Rig | str:
         raise UsageError("give a rig's folder, or `live` and the file of the cameras that are recording")
     if options.live is None:
         return str(options.rig_dir) if options.sync is None else rig_in_step(options)
-    if options.sync is not None:
-        raise UsageError(f"`live`: it does not go with `sync` {options.sync}; drop one of the two")
+    for name in ("sync", "audio"):
+        if getattr(options, name) is not None:
+            raise UsageError(f"`live`: it does not go with `{name}` {getattr(options, name)}; drop one of the two")
     if options.effects is None:
         options.effects = ",".join(PRESET_EFFECTS)
     if options.effects.startswith("auto"):  # which looks at frames of the whole take
@@ -444,6 +466,8 @@ def _rig(options: argparse.Namespace) -> Rig | str:
 def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:
     """The rig, opened where a bitrate needs its frame rate or its starts matter, bytes per frame, and how these were
     asked for."""
+    from decogs.formats.rigs import open_rig
+
     bitrate, megabytes = options.bitrate, options.max_mb_per_frame
     if bitrate is not None and megabytes is not None:
         raise UsageError("--bitrate and --max-mb-per-frame are one budget in two units; drop one of the two")

@@ -27,6 +27,7 @@ from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, check_held_out, frame_span
 from .input.matte_checks import check_mattes
 from .input.mattes import Mattes, open_mattes
+from .input.sound import SoundSource, sound_source
 from .job import EncodeJob
 from .memory_limit import EncodeMemory, memory_within
 from .methods import FRAME_METHODS, require_sparse
@@ -95,6 +96,7 @@ def encode(
         options = RunOptions(
             keyframe=work.source,
             metrics=job.metrics,
+            sound=work.sound,
             read_ahead=work.memory.reads_ahead,
             on_frame=observer.frame,
             on_keyframe_step=observer.keyframe_step,
@@ -135,6 +137,7 @@ class _Work:
     part: range | None
     base: Base | None
     source: _Source | None
+    sound: SoundSource | None
     memory: EncodeMemory
 
 
@@ -159,7 +162,8 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     mattes = open_mattes(job.mattes, rig, span, job.holdout)
     ingest = Ingest(rig, holdout=job.holdout, scale=job.scale, mattes=mattes)
     output = Path(job.output) if isinstance(job.output, (str, os.PathLike)) else job.output
-    _check_outputs(job, output, rig, mattes, reads_keyframe=base is not None or source is not None)
+    sound = sound_source(job.audio, rig, span.start, warn)
+    _check_outputs(job, output, rig, mattes, sound, reads_keyframe=base is not None or source is not None)
     if ingest.has_mattes:
         first = next(ingest.frames(span.start, span.start + 1))
         check_mattes(ingest, first, warn)
@@ -173,7 +177,7 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
         frames=len(span),
         threads=thread_count(job.threads),
     )
-    return _Work(rig, mattes, ingest, output, settings, wanted, span, part, base, source, memory)
+    return _Work(rig, mattes, ingest, output, settings, wanted, span, part, base, source, sound, memory)
 
 
 def _decide_settings(job: EncodeJob, work: _Work, observer: EncodeObserver, warn: OnWarning) -> EncodeSettings:
@@ -208,7 +212,13 @@ def _facts(job: EncodeJob, work: _Work, ingest: Ingest, settings: EncodeSettings
 
 
 def _check_outputs(
-    job: EncodeJob, stream: Path | BinaryIO, rig: Rig, mattes: Mattes | None, *, reads_keyframe: bool
+    job: EncodeJob,
+    stream: Path | BinaryIO,
+    rig: Rig,
+    mattes: Mattes | None,
+    sound: SoundSource | None,
+    *,
+    reads_keyframe: bool,
 ) -> None:
     """Raises UsageError when the encode would write over something it reads, or twice into one file."""
     outputs = [Output("output", stream, grows=True)]
@@ -216,6 +226,7 @@ def _check_outputs(
     outputs += [Output(name, Path(path)) for name, path in logs.items() if path is not None]
     read = [(Path(job.keyframe), "is read, as `keyframe`")] if job.keyframe is not None and reads_keyframe else []
     read += [(file, "is a matte or a plate of the rig") for file in (() if mattes is None else mattes.files)]
+    read += [] if sound is None else [(sound.path, "is read, as `audio`")]
     check_outputs(outputs, [*files_of(rig), *read])
 
 

@@ -39,6 +39,8 @@ class EncodeJob:
 
     mattes: MatteChoice | None = None  # what of the pictures is the subject; None: as their own alpha says
 
+    audio: PathLike | None = None  # sound for the stream: a camera's name, "auto", or a file, from the rig's frame 0 on
+
     switches: Switches | None = None  # method of later frames and its parts, on top of the settings
     targets: Targets | None = None  # quality, bytes and time, on top of the settings
     effects: EffectChoice | str | None = None  # as `effect_choice` reads it; None: "auto" for a preset, else as it says

@@ -21,6 +21,8 @@ from typing import Any, BinaryIO, NoReturn
 
 from .callbacks import OnProgress
 from .errors import DecogsError, TryAgainError, UsageError
+from .extras import what_to_install
+from .operating_systems import ENDING_SIGNALS
 from .progress import open_progress
 
 USER_ERROR = 2
@@ -147,6 +149,11 @@ def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = 
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             what += "; make room, or write elsewhere"
         return _say(f"{program}: error: {what}", USER_ERROR)
+    except ModuleNotFoundError as error:
+        what_to_do = what_to_install(error)
+        if what_to_do is None:
+            raise
+        return _say(f"{program}: error: {what_to_do}", USER_ERROR)
     except Exception as error:
         if not _memory_is_out(error):
             raise
@@ -254,7 +261,7 @@ def _raised_signals() -> Iterator[None]:
         raise _Ended(number)
 
     # What is ignored, as SIGHUP under nohup, or is handled by whoever runs this in their program, stays so.
-    ours = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    ours = [n for n in ENDING_SIGNALS if signal.getsignal(n) is signal.SIG_DFL]
     for number in ours:
         signal.signal(number, unwind)
     try:

@@ -55,6 +55,7 @@ class PacketKind(IntEnum):
     INDEX = 5
     END = 6
     METRICS = 7
+    SOUND = 8
 
 
 CRITICAL_KINDS = frozenset({PacketKind.HEADER, PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP})
@@ -426,14 +427,7 @@ def scan_index(file: BinaryIO, *, max_frames: int = MAX_FRAME) -> list[IndexEntr
     _check_signature(head[: len(SIGNATURE)])
     offset, ordinal, entries = PROLOGUE_SIZE, 0, []
     while offset + PACKET_OVERHEAD <= size:
-        file.seek(offset)
-        head = file.read(PACKET_HEADER_SIZE)
-        sync, kind, _, _, frame, length = _PACKET_HEADER.unpack_from(head)
-        if sync != SYNC:
-            raise StreamError(Reason.BAD_SYNC, "no packet starts here", packet=ordinal, offset=offset)
-        if _CRC.unpack_from(head, _PACKET_HEADER.size)[0] != zlib.crc32(head[: _PACKET_HEADER.size]):
-            message = "the packet header's checksum is wrong"
-            raise StreamError(Reason.BAD_HEADER_CRC, message, packet=ordinal, offset=offset)
+        kind, frame, length = _header_at(file, offset, ordinal)
         if offset + PACKET_OVERHEAD + length > size:
             break
         if kind in FRAME_KINDS:
@@ -443,6 +437,26 @@ def scan_index(file: BinaryIO, *, max_frames: int = MAX_FRAME) -> list[IndexEntr
         offset += PACKET_OVERHEAD + length
         ordinal += 1
     return entries
+
+
+def end_of_packet(file: BinaryIO, offset: int) -> int:
+    """Where the packet at this offset of a seekable file ends; its payload is not read. Raises StreamError."""
+    return offset + PACKET_OVERHEAD + _header_at(file, offset)[2]
+
+
+def _header_at(file: BinaryIO, offset: int, ordinal: int | None = None) -> tuple[int, int, int]:
+    """Kind, frame and length of the payload, as the packet's header says; raises StreamError where there is none."""
+    file.seek(offset)
+    head = file.read(PACKET_HEADER_SIZE)
+    if len(head) < PACKET_HEADER_SIZE:
+        raise StreamError(Reason.TRUNCATED, "the stream stops inside a packet", packet=ordinal, offset=offset)
+    sync, kind, _, _, frame, length = _PACKET_HEADER.unpack_from(head)
+    if sync != SYNC:
+        raise StreamError(Reason.BAD_SYNC, "no packet starts here", packet=ordinal, offset=offset)
+    if _CRC.unpack_from(head, _PACKET_HEADER.size)[0] != zlib.crc32(head[: _PACKET_HEADER.size]):
+        message = "the packet header's checksum is wrong"
+        raise StreamError(Reason.BAD_HEADER_CRC, message, packet=ordinal, offset=offset)
+    return kind, frame, length
 
 
 def end_fields(packet: Packet) -> tuple[int, int]:

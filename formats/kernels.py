@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -13,20 +14,28 @@ from .errors import UsageError
 INSTRUCTION_SETS = ("base", "avx2", "avx512")
 """Slowest first; a kernel gives the same bits on all of them."""
 
+_SUFFIX = ".pyd" if sys.platform == "win32" else ".abi3.so"
+"""Python's own, for libraries that suit all its versions."""
+
 
 def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
     """Where a package keeps a kernel compiled for this instruction set."""
-    return package / f"{stem}_{instruction_set}.abi3.so"
+    return package / f"{stem}_{instruction_set}{_SUFFIX}"
 
 
 @lru_cache(maxsize=1)
 def best_instruction_set() -> str:
-    """The widest instruction set this machine runs; DECOGS_INSTRUCTION_SET (base, avx2, avx512) narrows it."""
-    base = _loaded(kernel_path(Path(__file__).parent, "_ycbcr", "base"))
-    widest = INSTRUCTION_SETS[base.decogs_instruction_set()]
-    wanted = os.environ.get("DECOGS_INSTRUCTION_SET", widest)
-    if wanted not in INSTRUCTION_SETS or INSTRUCTION_SETS.index(wanted) > INSTRUCTION_SETS.index(widest):
-        raise UsageError(f"DECOGS_INSTRUCTION_SET={wanted}: this machine runs {widest} and below of {INSTRUCTION_SETS}")
+    """The widest installed instruction set this machine runs; DECOGS_INSTRUCTION_SET (base, avx2, avx512) chooses one.
+
+    What was built from source has the plain one and that of the machine it was built on.
+    """
+    folder = Path(__file__).parent
+    base = _loaded(kernel_path(folder, "_ycbcr", "base"))
+    runs = INSTRUCTION_SETS[: base.decogs_instruction_set() + 1]
+    there = [name for name in runs if kernel_path(folder, "_ycbcr", name).exists()]
+    wanted = os.environ.get("DECOGS_INSTRUCTION_SET", there[-1])
+    if wanted not in there:
+        raise UsageError(f"DECOGS_INSTRUCTION_SET={wanted}: this machine runs {', '.join(there)}, as installed")
     return wanted
 
 

@@ -11,6 +11,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from .operating_systems import ENDING_SIGNALS
+
 
 def load_openusd() -> None:
     """Imports all that our files need of it; to be called before ``from pxr import``."""
@@ -38,7 +40,7 @@ def _signals_wait() -> Iterator[None]:
         yield
         return
     came: list[int] = []
-    handled = [n for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if callable(signal.getsignal(n))]
+    handled = [n for n in (signal.SIGINT, *ENDING_SIGNALS) if callable(signal.getsignal(n))]
     kept = {number: signal.signal(number, lambda number, _: came.append(number)) for number in handled}
     try:
         yield

@@ -9,7 +9,6 @@ where not, so that links and other spellings of a name are seen through.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import stat
@@ -24,6 +23,7 @@ from typing import BinaryIO, Literal
 
 from .container import SIGNATURE
 from .errors import TryAgainError, UsageError
+from .operating_systems import AS_THEY_ARE, CLOSES_FIRST, NO_LINKS, WITHOUT_WAITING, take_lock
 
 Leftover = Literal["refused", "kept", "dropped"]
 """What becomes of the ``NAME.part`` that an interrupted process left: an error, continued, or replaced."""
@@ -113,7 +113,7 @@ def is_left_over(part: Path) -> bool:
         # One that was made just now may be about to be locked by its maker, whom a lock of ours would turn away.
         if found.st_size or time.time() - found.st_mtime < _ABOUT_TO_BE_LOCKED:
             return False
-        fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        take_lock(file.fileno(), shared=True)
         return True
     return False
 
@@ -152,13 +152,15 @@ class GrowingFile:
         """Gives it its name, once it is on the disk; a power cut leaves the old file or the whole new one."""
         self.file.flush()
         os.fsync(self.file.fileno())
+        if CLOSES_FIRST:
+            self.file.close()
         os.replace(self.path, self.output)
         _sync_folder(self.output.parent)
         self.file.close()
 
     def discard(self) -> None:
         """Removes what there is of it, while it is still locked."""
-        self.path.unlink(missing_ok=True)
+        self._remove()
         self.release()
 
     def release(self) -> None:
@@ -169,9 +171,14 @@ class GrowingFile:
         with suppress(OSError):
             self.file.flush()
         if not self.size:
-            self.path.unlink(missing_ok=True)
+            self._remove()
         with suppress(OSError):
             self.file.close()
+
+    def _remove(self) -> None:
+        if CLOSES_FIRST:
+            self.file.close()
+        self.path.unlink(missing_ok=True)
 
     def __enter__(self) -> GrowingFile:
         return self
@@ -193,7 +200,7 @@ class GrowingFile:
         while True:
             try:
                 # No link is followed and no named pipe waited for: neither is the file that this one grows in.
-                number = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+                number = os.open(self.path, os.O_RDWR | os.O_CREAT | NO_LINKS | WITHOUT_WAITING | AS_THEY_ARE, 0o666)
             except OSError as error:
                 self._refuse(self.path, f"{error.strerror}, and the file grows there; choose another name, or clear it")
             if not stat.S_ISREG(os.fstat(number).st_mode):
@@ -275,7 +282,7 @@ def open_in_place(path: Path, *, append: bool = False) -> BinaryIO:
     """
     if is_device(path):
         return path.open("wb")
-    number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    number = os.open(path, os.O_RDWR | os.O_CREAT | AS_THEY_ARE, 0o666)
     file = os.fdopen(number, "r+b")
     try:
         _lock(number)
@@ -305,7 +312,7 @@ def _is_no_stream(part: Path) -> bool:
 def _lock(number: int) -> None:
     """Takes the lock of an open file; BlockingIOError when another process has it."""
     try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        take_lock(number)
     except BlockingIOError:
         raise
     except OSError:

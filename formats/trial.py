@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import UsageError
+from .operating_systems import limit_process
 
 _SECONDS = 60
 """Of processor time: some ten times what the longest film that is rendered takes."""
@@ -56,9 +56,7 @@ def answer(asked: str) -> None:
     """What the other process does."""
     module, name, path, given, max_memory, seconds = json.loads(asked)
     read = getattr(import_module(module), name)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    resource.setrlimit(resource.RLIMIT_DATA, (max_memory + _BESIDE, max_memory + _BESIDE))
+    limit_process(max_memory + _BESIDE, seconds)
     try:
         read(Path(path), *given)
     except UsageError as error:

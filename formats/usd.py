@@ -54,7 +54,6 @@ from __future__ import annotations
 
 import glob
 import os
-import resource
 import tempfile
 import time
 from collections.abc import Sequence
@@ -69,6 +68,7 @@ from numpy.typing import NDArray
 from .cameras import Camera
 from .errors import UsageError, check_utf8
 from .openusd import load_openusd
+from .operating_systems import address_space
 from .similarity import NO_CHANGE, Similarity
 from .usd_prims import Flavour, InstancerPrims, Prims, SplatPrims, UsdSplats
 
@@ -306,8 +306,8 @@ def check_usd_request(path: Path, *, fps: float, prototype_radius: float) -> Non
 
 def _check_memory(path: Path) -> None:
     """Raises UsageError where OpenUSD would end the process: it does not notice that the system gives it no memory."""
-    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if allowed != resource.RLIM_INFINITY and allowed < _OF_USD:
+    allowed = address_space()
+    if allowed is not None and allowed < _OF_USD:
         raise UsageError(
             f"{path}: this process may take {allowed / 1e9:.1f} GB of address space (ulimit -v), and OpenUSD needs "
             f"{_OF_USD / 1e9:.0f} GB; raise the limit"

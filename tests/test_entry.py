@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+
+from decogs import entry
 
 SLOW = {
     "while modules are loaded": "interrupt()\ntime.sleep(60)",
@@ -62,7 +64,17 @@ def test_what_ignores_ctrl_c_still_does(tmp_path: Path) -> None:
 
 
 def test_a_command_of_ours_that_is_interrupted_while_it_loads(tmp_path: Path) -> None:
-    program = "import sys; from decogs import entry; print('there', flush=True); sys.exit(entry.encode())"
+    program = """
+import sys, time
+from decogs import entry
+class Slow:
+    def find_spec(self, name, path, target=None):
+        if name == "decogs.encoder.commands":
+            print("there", flush=True)
+            time.sleep(60)
+sys.meta_path.insert(0, Slow())
+sys.exit(entry.encode())
+"""
     child = subprocess.Popen(
         [sys.executable, "-c", program, str(tmp_path), "-o", "x.dgs"],
         stdout=subprocess.PIPE,
@@ -72,7 +84,20 @@ def test_a_command_of_ours_that_is_interrupted_while_it_loads(tmp_path: Path) ->
     )
     assert child.stdout is not None
     assert child.stdout.readline() == "there\n"
-    time.sleep(0.1)  # Loading takes half a second.
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=60)
     assert (child.returncode, err) == (130, "-c: interrupted\n")
+
+
+HEAVY = ("PIL", "OpenEXR", "av", "cv2", "matplotlib", "pxr", "pycolmap", "ray", "torch", "tqdm")
+HEAVY += ("decogs.formats.rigs.opening", "decogs.decoder.rasterise", "decogs.encoder.frame", "decogs.encoder.keyframe")
+
+
+@pytest.mark.parametrize("module", sorted(set(re.findall(r'_command\("([a-z.]+)"', Path(entry.__file__).read_text()))))
+def test_a_command_begins_without_what_is_slow_to_load(module: str) -> None:
+    """Help, and what is wrong with the options, come in a fraction of a second; these take longer than all the rest."""
+    program = "import sys; from importlib import import_module; import_module(sys.argv[1]); print(*sys.modules)"
+    run = subprocess.run(
+        [sys.executable, "-c", program, f"decogs.{module}"], capture_output=True, text=True, check=True, timeout=30
+    )
+    assert set(HEAVY).isdisjoint(run.stdout.split())

@@ -13,6 +13,7 @@ from .operations.grade import Grade
 from .operations.merge import Merge
 from .operations.retime import Retime, Speed
 from .operations.set import Set
+from .operations.sound import AddSound
 from .operations.strip import Strip
 from .operations.transform import Transform
 from .operations.trim import Trim
@@ -20,6 +21,7 @@ from .recipe import read_recipe
 from .regions import Box, Polygon, Region, Sphere
 
 __all__ = [
+    "AddSound",
     "Box",
     "Cameras",
     "Clean",

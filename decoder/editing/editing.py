@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from decogs.formats.callbacks import OnProgress, OnWarning
-from decogs.formats.container import StreamWriter
+from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import GrowingFile, Output, check_outputs, errors_named, is_device
 
@@ -46,9 +46,10 @@ def edit(
 ) -> EditReport:
     """Writes the stream with ``operations`` done to it, one after the other; nothing is trained.
 
-    Scenes that no operation changes keep their bits, rows that none changes theirs. Packets pass one by one: memory
-    does not grow with the take. METRICS and private packets are left out, since they tell of the stream that was.
-    ``output``: a file's name, or an open file; None only finds out what the edit would do, and writes nothing.
+    Scenes that no operation changes keep their bits, rows that none changes theirs; sound goes with its frames. Packets
+    pass one by one: memory does not grow with the take. METRICS and private packets are left out, since they tell of
+    the stream that was. ``output``: a file's name, or an open file; None only finds out what the edit would do, and
+    writes nothing.
     ``max_memory`` (bytes) bounds the decoding of each stream, as in ``open_stream``. ``on_frame(done, all)`` reports
     progress, ``on_warning(text)`` damage that is passed over.
 
@@ -98,8 +99,10 @@ def _written(take: Take, file: BinaryIO, shown: _Shown) -> tuple[StreamWriter, F
     writer = StreamWriter(file, take.header.to_bytes())
     frames = FrameWriter(take.header, writer)
     shown.total = take.frame_count
-    for frame in take.read(0, take.frame_count):
+    for frame, sound in zip(take.read(0, take.frame_count), take.hear(0, take.frame_count), strict=True):
         frames.write(frame)
+        for packet in sound:
+            writer.write(PacketKind.SOUND, frames.frames - 1, packet.payload())
         shown.to(frames.frames)
     writer.finish()
     return writer, frames

@@ -11,6 +11,7 @@ from decogs.codec.corrections import CorrectedCameras
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import new_state
 from decogs.codec.lattice import Lattice, dequantise, quantise
+from decogs.codec.sound import SoundTrack
 from decogs.codec.state import ARRAYS, Attributes, State, all_rows
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError, UsageError
@@ -57,6 +58,8 @@ def matched(operation: str, first: Take, second: Take) -> Matched:
     taken = second.each(lambda frame: replace(frame, corrections=renamed_corrections(frame.corrections, names.get)))
     changed = _rounded(other.lattice, one.lattice)
     if not place.is_identity:
+        heard = tuple(_moved(track, place) for track in taken.header.sound)
+        taken = replace(taken, header=replace(taken.header, sound=heard))
         taken = taken.each_scene(lambda state: _placed(state, other.lattice, one.lattice, place))
     elif changed:
         taken = taken.each_scene(lambda state: requantised(state, other.lattice, one.lattice))
@@ -67,6 +70,14 @@ def matched(operation: str, first: Take, second: Take) -> Matched:
         _of_degree(taken, degree),
         _cost(changed, place),
     )
+
+
+def _moved(track: SoundTrack, place: Similarity) -> SoundTrack:
+    """A track whose sound comes from where this takes it."""
+    if track.position is None:
+        return track
+    x, y, z = (place.matrix @ (*track.position, 1.0))[:3].tolist()
+    return replace(track, position=(x, y, z))
 
 
 def requantised(state: State, was: Lattice, lattice: Lattice) -> State:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import repeat
 from pathlib import Path
 
 from decogs.codec.corrections import Corrections
@@ -18,6 +19,7 @@ from decogs.formats.reasons import Reason
 
 from ..frame import DecodedFrame
 from ..frame_choice import open_chosen
+from ..sound.packets import FrameSound
 from ..stream import Stream
 from .names import OWN_IDS
 
@@ -56,14 +58,23 @@ class Frame:
 Read = Callable[[int, int], Iterator[Frame]]
 """The frames from one number up to, not including, another."""
 
+Hear = Callable[[int, int], Iterator[FrameSound]]
+"""The sound of frames from one number up to, not including, another; right after `frames_before` others."""
+
 Note = Callable[[], str]
 """A line that says what an operation did; asked for once the take was read."""
+
+
+def silence(start: int, stop: int) -> Iterator[FrameSound]:
+    """No sound in any frame."""
+    return repeat((), stop - start)
 
 
 @dataclass(frozen=True, eq=False)
 class Take:
     """``frame_count`` frames, which ``read`` reads as often as it is called; ``header`` describes them as written.
 
+    ``hear`` gives the frames' sound, as ``read`` does the frames.
     ``starts``: the frames at which segments begin, of which 0 is the first. ``sources``: the files that are read on the
     way. ``notes``: what the operations so far have to say.
     """
@@ -71,6 +82,7 @@ class Take:
     header: StreamHeader
     frame_count: int
     read: Read
+    hear: Hear = silence
     starts: tuple[int, ...] = (0,)
     sources: tuple[Path, ...] = ()
     notes: tuple[Note, ...] = ()
@@ -122,7 +134,7 @@ def open_take(
         header = replace(stream.stored_header, settings=settings)
         # The first keyframe of a damaged stream may be none that is left.
         starts = (0, *(frame for frame in stream.keyframes if frame))
-        yield Take(header, len(every), source.read, starts, (Path(path),))
+        yield Take(header, len(every), source.read, stream.sounds, starts, (Path(path),))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,10 +6,12 @@ encoder does, and only the frames of its cameras are ever read.
 
 from __future__ import annotations
 
+import io
 import os
 import threading
 from collections import OrderedDict
 from collections.abc import Generator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +19,9 @@ from decogs.codec.header import StreamHeader
 from decogs.formats.colour import srgb_from_linear
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.pictures import Picture
-from decogs.formats.rigs import FrameSource, open_rig
+
+if TYPE_CHECKING:
+    from decogs.formats.rigs import FrameSource
 
 FOLDER = "recorded/"
 _KEPT = 64
@@ -35,6 +39,8 @@ class RecordedPictures:
 
     def __init__(self, rig: str | os.PathLike[str], header: StreamHeader) -> None:
         """Raises RigError for what is no rig, UsageError for one that has none of the stream's cameras or frames."""
+        from decogs.formats.rigs import open_rig
+
         opened = open_rig(rig)
         names = {camera.name for camera in header.cameras}
         pairs = zip(opened.cameras, opened.sources, strict=True)
@@ -92,10 +98,11 @@ class RecordedPictures:
 
 def jpeg(picture: Picture) -> bytes:
     """The picture as a JPEG file; scene-linear ones with the sRGB curve, clipped."""
-    import cv2
+    from PIL import Image
 
     if picture.dtype != np.uint8:
         shown = np.clip(picture.astype(np.float32), 0.0, 1.0)
         picture = np.rint(srgb_from_linear(shown) * 255).astype(np.uint8)
-    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return data.tobytes()
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "jpeg", quality=_QUALITY)
+    return file.getvalue()

@@ -9,24 +9,59 @@ frame, in the encoder's loop (``enabled.py``). An effect that a decoder has to k
 ``DESIGN.md`` has measurements and rejected variants.
 """
 
-from ..settings.effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
-from .building import AUTO, EFFECTS, EffectChoice, disable, effect_choice, with_effects
-from .effect import Decision, Effect, Evidence
-from .rig_statistics import RigStatistics, gather_statistics
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "AUTO",
-    "EFFECTS",
-    "EFFECT_NAMES",
-    "FRAME_EFFECTS",
-    "PRESET_EFFECTS",
-    "Decision",
-    "Effect",
-    "EffectChoice",
-    "Evidence",
-    "RigStatistics",
-    "disable",
-    "effect_choice",
-    "gather_statistics",
-    "with_effects",
-]
+from decogs.formats.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from ..settings.effects import (
+        EFFECT_NAMES as EFFECT_NAMES,
+    )
+    from ..settings.effects import (
+        FRAME_EFFECTS as FRAME_EFFECTS,
+    )
+    from ..settings.effects import (
+        PRESET_EFFECTS as PRESET_EFFECTS,
+    )
+    from .building import (
+        AUTO as AUTO,
+    )
+    from .building import (
+        EFFECTS as EFFECTS,
+    )
+    from .building import (
+        EffectChoice as EffectChoice,
+    )
+    from .building import (
+        disable as disable,
+    )
+    from .building import (
+        effect_choice as effect_choice,
+    )
+    from .building import (
+        with_effects as with_effects,
+    )
+    from .effect import Decision as Decision
+    from .effect import Effect as Effect
+    from .effect import Evidence as Evidence
+    from .rig_statistics import RigStatistics as RigStatistics
+    from .rig_statistics import gather_statistics as gather_statistics
+
+_HOMES = {
+    "EFFECT_NAMES": ".settings.effects",
+    "FRAME_EFFECTS": ".settings.effects",
+    "PRESET_EFFECTS": ".settings.effects",
+    "AUTO": "building",
+    "EFFECTS": "building",
+    "EffectChoice": "building",
+    "disable": "building",
+    "effect_choice": "building",
+    "with_effects": "building",
+    "Decision": "effect",
+    "Effect": "effect",
+    "Evidence": "effect",
+    "RigStatistics": "rig_statistics",
+    "gather_statistics": "rig_statistics",
+}
+__all__ = list(_HOMES)
+__getattr__ = lazy_names(__name__, _HOMES)

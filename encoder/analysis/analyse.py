@@ -23,7 +23,7 @@ from . import EFFECTS
 from .effect import Decision, Evidence, Span
 from .rig_check import RigCheck, check_rig, in_columns
 from .rig_statistics import RigStatistics, gather_statistics
-from .stage_check import StageCheck, check_stage
+from .stage_check import RoomCheck, StageCheck, check_backdrop
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Finding:
 class Analysis:
     """Result of an analysis: a finding for every effect, in the order of EFFECTS, and what the rig is good for.
 
-    ``stage``: the plain stage, None where there is none. ``seconds``: its duration.
+    ``stage``: the plain stage or room, None where there is neither. ``seconds``: its duration.
     """
 
     path: str
@@ -48,7 +48,7 @@ class Analysis:
     stats: RigStatistics
     findings: tuple[Finding, ...]
     check: RigCheck
-    stage: StageCheck | None
+    stage: StageCheck | RoomCheck | None
     seconds: float
 
     @property
@@ -93,7 +93,8 @@ class Analysis:
             "expected": self.check.expected,
             "expected_psnr": _plain(self.check.psnr),
             "advice": self.check.advice(),
-            "stage": None if self.stage is None else _plain(asdict(self.stage)),
+            "stage": _plain(asdict(self.stage)) if isinstance(self.stage, StageCheck) else None,
+            "room": _plain(asdict(self.stage)) if isinstance(self.stage, RoomCheck) else None,
             "checks": {each.camera: _plain(each.to_json()) for each in self.check.cameras},
         }
 
@@ -124,8 +125,8 @@ def analyse(
     with side_by_side(thread_count(threads)) as each:
         check = check_rig(stats, each)
     stage = None
-    if stats.stage is not None:
-        stage = check_stage(stats.stage, stats.cameras, [own[0] for own in stats.pictures])
+    if stats.backdrop is not None:
+        stage = check_backdrop(stats.backdrop, stats.cameras, [own[0] for own in stats.pictures])
     seconds = time.perf_counter() - began
     return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), check, stage, seconds)
 

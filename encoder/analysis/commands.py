@@ -11,11 +11,7 @@ from decogs.formats.command_line import Parser, number_of_threads, print_text, p
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import Output, check_outputs, check_writable, is_device, write_whole
-from decogs.formats.rigs import files_of, without_cameras
 
-from ..input.ingest import Ingest, frame_span
-from ..input.matte_checks import check_mattes
-from ..input.mattes import open_mattes
 from ..input.mattes.options import add_matte_options, matte_choice
 from ..synchronisation.commands import add_sync_option, rig_in_step
 
@@ -58,6 +54,11 @@ def analyze_parser() -> Parser:
 
 
 def _analyze(parser: Parser, options: argparse.Namespace) -> None:
+    from decogs.formats.rigs import files_of, without_cameras
+
+    from ..input.ingest import Ingest, frame_span
+    from ..input.matte_checks import check_mattes
+    from ..input.mattes import open_mattes
     from .analyse import analyse
 
     rig = without_cameras(rig_in_step(options), options.exclude)

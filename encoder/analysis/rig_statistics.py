@@ -24,7 +24,7 @@ from decogs.formats.rigs import Rig, read_frames
 
 from ..change.noise import picture_noise
 from ..input.ingest import RigFrame, View, check_held_out, display_referred
-from ..keyframe.backdrop.stage import PlainStage, find_stage
+from ..keyframe.backdrop.stage import BackdropStage, PlainStage, find_stage
 from ..parallel import Each, ahead, side_by_side
 from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points
 from .matches import Matches, find_matches
@@ -55,8 +55,8 @@ class RigStatistics:
     numbers of the analysed frames, every ``step``-th. ``pictures``: per camera (F, H, W, 3) uint8, display-referred.
     ``noise`` (cameras, F): standard deviation of the difference of successive pictures over sqrt 2, in 8-bit levels of
     full-size pixels. ``recordings``: which pictures are lost; ``details`` (cameras, BANDS): of the first pictures, at
-    full size. ``moving``: whether a camera moves through the scene. ``stage``: the plain one of the first frame, seen
-    in these pictures; None where there is none.
+    full size. ``moving``: whether a camera moves through the scene. ``backdrop``: the plain stage or room of the first
+    frame, seen in these pictures; None where there is neither.
     """
 
     cameras: tuple[Camera, ...]
@@ -72,12 +72,17 @@ class RigStatistics:
     recordings: Recordings
     details: F64
     moving: tuple[bool, ...]
-    stage: PlainStage | None = None
+    backdrop: BackdropStage | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the analysed cameras, in the rig's order."""
         return tuple(camera.name for camera in self.cameras)
+
+    @property
+    def stage(self) -> PlainStage | None:
+        """The plain stage, whose floor and walls show how cameras differ."""
+        return self.backdrop if isinstance(self.backdrop, PlainStage) else None
 
 
 def gather_statistics(
@@ -101,8 +106,8 @@ def gather_statistics(
         recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
         pictures, noise, details = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
         matches = find_matches(cameras, [own[0] for own in pictures], each)
-        stage = _stage(cameras, [own[0] for own in pictures])
-        points = shared_points(cameras, matches, stage)
+        backdrop = _backdrop(cameras, [own[0] for own in pictures])
+        points = shared_points(cameras, matches, backdrop if isinstance(backdrop, PlainStage) else None)
         pixels = [points.pixels_of(row) for row in range(len(cameras))]
         lights = [steps.count(found) for found in each(light_at, pictures, pixels)]
         light = own_light(points, lights, list(each(light_overall, pictures)))
@@ -123,17 +128,17 @@ def gather_statistics(
         recordings,
         details,
         moving,
-        stage,
+        backdrop,
     )
 
 
-def _stage(cameras: Sequence[Camera], pictures: Sequence[U8]) -> PlainStage | None:
-    """The plain stage in the first ``pictures`` (H, W, 3) of the cameras."""
+def _backdrop(cameras: Sequence[Camera], pictures: Sequence[U8]) -> BackdropStage | None:
+    """The plain stage or room in the first ``pictures`` (H, W, 3) of the cameras."""
     plans = [Undistortion(camera) for camera in cameras]
     views = [View(plan.camera, plan.pinhole, plan.valid.astype(np.float32)) for plan in plans]
     straight = [display_referred(plan.apply(own)) for plan, own in zip(plans, pictures, strict=True)]
     found = find_stage(views, RigFrame(0, [picture.transpose(2, 0, 1) for picture in straight], []))
-    return found if isinstance(found, PlainStage) else None
+    return found if isinstance(found, BackdropStage) else None
 
 
 class _Steps:

@@ -16,7 +16,7 @@ from decogs.formats.splats import FloatArray
 
 from ..input.ingest import display_referred
 from ..keyframe.backdrop.plain import subject_pixels
-from ..keyframe.backdrop.stage import PlainStage
+from ..keyframe.backdrop.stage import BackdropStage, PlainRoom, PlainStage
 from ..keyframe.backdrop.surfaces import surface_colours
 
 F64 = NDArray[np.float64]
@@ -99,8 +99,7 @@ class StageCheck:
             yield "floor and wall: not found in so even a light; the backdrop is taken for a far sphere"
         else:
             yield f"floor: {self.floor:.3g} units below the cameras; wall: about {self.wall:.2g} units from the middle"
-        between = " and ".join(self.gap_cameras)
-        yield f"cameras around the subject: the largest gap has {self.gap:.0f} degrees, between {between}"
+        yield _gap_line(self.gap, self.gap_cameras)
         dark = f"up to {1 - self.shadow:.0%} darker" if self.shadow < 1 else "none found"
         yield f"shadows on the backdrop: {dark}"
         yield f"key: {self._key()}"
@@ -118,12 +117,51 @@ class StageCheck:
 
 
 @dataclass(frozen=True)
+class RoomCheck:
+    """A room with plain walls round a floor with texture, as its first pictures show it.
+
+    ``plain``: share of the median picture that shows the walls. ``floor``: how far it lies below the median camera, and
+    ``wall``: how far from what the cameras look at, world units. ``gap``: as of a stage.
+    """
+
+    plain: float
+    floor: float
+    wall: float
+    gap: float
+    gap_cameras: tuple[str, str]
+
+    def table(self) -> Iterator[str]:
+        """For the user: a line for each thing to know."""
+        yield (
+            f"room with plain walls: they are {self.plain:.0%} of a picture, about {self.wall:.2g} units from the "
+            f"middle; the floor has texture, {self.floor:.3g} units below the cameras"
+        )
+        yield _gap_line(self.gap, self.gap_cameras)
+
+
+@dataclass(frozen=True)
 class _Shown:
     """What a pinhole camera shows, (H, W, 3), and its plate."""
 
     camera: Camera
     picture: FloatArray
     plate: FloatArray
+
+
+def check_backdrop(
+    backdrop: BackdropStage, cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]
+) -> StageCheck | RoomCheck | None:
+    """Judges the ``backdrop`` that the first ``pictures`` (H, W, 3) of the ``cameras`` show, at its views' size."""
+    if isinstance(backdrop, PlainStage):
+        return check_stage(backdrop, cameras, pictures)
+    return check_room(backdrop, cameras) if isinstance(backdrop, PlainRoom) else None
+
+
+def check_room(room: PlainRoom, cameras: Sequence[Camera]) -> RoomCheck:
+    """Describes the ``room`` around the ``cameras``."""
+    floor = _below(room, cameras)
+    assert floor is not None  # a room is found by its floor
+    return RoomCheck(_plain_share(room), floor, room.surfaces.radius, *_largest_gap(room, cameras))
 
 
 def check_stage(stage: PlainStage, cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]) -> StageCheck:
@@ -134,18 +172,14 @@ def check_stage(stage: PlainStage, cameras: Sequence[Camera], pictures: Sequence
     shown = [_Shown(view.camera, picture, view.plate) for view, picture in zip(stage.views, straight, strict=True)]
     gap, between = _largest_gap(stage, cameras)
     backdrop = np.concatenate([picture[view.plain] for view, picture in zip(stage.views, straight, strict=True)])
-    surfaces = stage.surfaces
-    floor = None
-    if surfaces.floor is not None:
-        heights = [(camera_centre(camera) - surfaces.middle) @ surfaces.axes[2] for camera in cameras]
-        floor = float(np.median(heights)) - surfaces.floor
+    floor = _below(stage, cameras)
     red, green, blue = np.rint(255 * np.median(backdrop, axis=0)).astype(int).tolist()
     return StageCheck(
         (red, green, blue),
-        plain=float(np.median([view.plain.mean() for view in stage.views])),
+        plain=_plain_share(stage),
         subject={camera.name: _subject_share(stage, each) for camera, each in zip(cameras, shown, strict=True)},
         floor=floor,
-        wall=None if floor is None else surfaces.radius,
+        wall=None if floor is None else stage.surfaces.radius,
         gap=gap,
         gap_cameras=between,
         shadow=_shadow(stage, shown),
@@ -201,7 +235,25 @@ def _shadow(stage: PlainStage, shown: Sequence[_Shown]) -> float:
     return float(np.percentile(dark, _DARKEST_PERCENTILE)) if len(dark) else 1.0
 
 
-def _largest_gap(stage: PlainStage, cameras: Sequence[Camera]) -> tuple[float, tuple[str, str]]:
+def _plain_share(stage: BackdropStage) -> float:
+    """Plain share of the median picture."""
+    return float(np.median([view.plain.mean() for view in stage.views]))
+
+
+def _below(stage: BackdropStage, cameras: Sequence[Camera]) -> float | None:
+    """How far the floor lies below the median camera; None where it was not found."""
+    surfaces = stage.surfaces
+    if surfaces.floor is None:
+        return None
+    heights = [(camera_centre(camera) - surfaces.middle) @ surfaces.axes[2] for camera in cameras]
+    return float(np.median(heights)) - surfaces.floor
+
+
+def _gap_line(gap: float, cameras: tuple[str, str]) -> str:
+    return f"cameras around the subject: the largest gap has {gap:.0f} degrees, between {' and '.join(cameras)}"
+
+
+def _largest_gap(stage: BackdropStage, cameras: Sequence[Camera]) -> tuple[float, tuple[str, str]]:
     """The largest angle between neighbouring cameras around the upright axis, degrees, and their names."""
     gaps, order = stage.surfaces.gaps(np.array([camera_centre(camera) for camera in cameras]))
     widest = int(np.argmax(gaps))

@@ -20,7 +20,7 @@ from .footage import Footage
 def brought_in_step(videos: Path, footage: Sequence[Footage], sync: str) -> tuple[tuple[Footage, ...], tuple[str, ...]]:
     """The footage from the same instant on, with its starts, and what the user should know.
 
-    ``sync``: AUTO, or the path of a sync.json. Raises RigError as `decogs.formats.rigs.in_step`.
+    ``sync``: AUTO, or the path of a sync.json. Raises RigError as `decogs.formats.rigs.steps`.
     """
     rig = _without_poses(videos, footage)
     warnings: tuple[str, ...] = ()

@@ -24,7 +24,8 @@ from ..backends import check_device
 from ..encoding import chosen_settings, wanted_effects
 from ..input.ingest import frame_span
 from ..input.recordings import is_current
-from ..job import EncodeJob
+from ..input.sound import AUTO, NONE
+from ..job import EncodeJob, PathLike
 from ..output.resume import is_expendable
 from ..parts.base import Base, read_base
 from ..parts.joining import JoinReport, join
@@ -69,6 +70,7 @@ def encode_on_cluster(
         holdout=tuple(job.holdout),
         exclude=tuple(job.exclude),
         keyframe=None if job.keyframe is None else os.fspath(Path(job.keyframe).absolute()),
+        audio=_everywhere(job.audio, rig),
         resume=False,
         threads=0,
     )
@@ -171,6 +173,12 @@ def _check(outcome: Outcome) -> None:
 
 def _segments(take: range, segment: int) -> list[range]:
     return [range(start, min(start + segment, take.stop)) for start in range(take.start, take.stop, segment)]
+
+
+def _everywhere(audio: PathLike | None, rig: Rig) -> PathLike | None:
+    """The same, a file by its absolute path; a camera's name stays."""
+    is_name = audio is None or str(audio) in (AUTO, NONE, *(camera.name for camera in rig.cameras))
+    return audio if is_name else os.fspath(Path(str(audio)).absolute())
 
 
 def _folder(output: Path, *, resume: bool) -> Path:

@@ -8,6 +8,7 @@ from typing import Any
 from decogs.codec.corrections import CorrectedCameras, Corrections
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice
+from decogs.codec.sound import SoundTrack
 from decogs.formats.cameras import is_distorted
 from decogs.formats.rigs import Rig
 
@@ -28,12 +29,13 @@ def stream_header(
     colours: Corrections,
     inherited: Mapping[str, Any] | None,
     recorded: Mapping[str, str],
+    sound: tuple[SoundTrack, ...],
 ) -> StreamHeader:
     """The header of a stream whose first frame is the rig's ``first``.
 
     ``corrected``: cameras whose drift is compensated. ``colours``: how those of cameras differ from the
     scene's in every frame. ``inherited``: settings of an imported keyframe, which made it. ``recorded``: digests of the
-    first frame's pictures by camera, none if the encode has none.
+    first frame's pictures by camera, none if the encode has none. ``sound``: the stream's tracks.
     """
     rig, document = ingest.rig, settings.as_document() | dict(inherited or {})
     pictures = setting_of(recorded, [camera.name for camera in rig.cameras])
@@ -56,6 +58,7 @@ def stream_header(
         corrected=corrected,
         camera_colours=colours,
         subject=ingest.background is not None,
+        sound=sound,
     )
 
 

@@ -49,6 +49,7 @@ _PARAMETERS = {
     "detect_per_frame": "`effects`",
     "corrections": "`effects`",
     "corrected": "`effects`",
+    "sound": "`audio`",
     "frame": "`settings` or `ablate`",
     "keyframe": "`settings`",
 }

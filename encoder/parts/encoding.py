@@ -12,6 +12,7 @@ from ..frame.context import Context
 from ..input.recordings import is_current
 from ..output.metrics import write_metrics
 from ..output.reports import EncodeReport, FrameReport
+from ..output.sound import SoundWriter
 from ..output.stream_output import StreamOutput
 from ..stream.encoder import Earlier, StreamEncoder
 from ..stream.options import RunOptions
@@ -62,7 +63,7 @@ def encode_part(
             earlier = Earlier([base.packet], f"`keyframe` {base.keyframe.path}")
         reports: list[FrameReport] = []
         own = range(max(frames.start, take.start + 1), frames.stop)
-        whole = False
+        sound, whole = SoundWriter(options.sound, out), False
         try:
             if base is not None:
                 out.begin(base.keyframe.header_payload)
@@ -70,6 +71,8 @@ def encode_part(
             given = chain([first], ingest.frames(own.start, read.stop))
             for report in islice(encoder.encode(given, take.start, earlier), 1 + len(own)):
                 reports.append(report)
+                if report.frame in frames:
+                    sound.write(report.frame - take.start)
                 if options.metrics and report.frame in frames:
                     write_metrics(out, report.frame - take.start, report)
                 if options.on_frame is not None:

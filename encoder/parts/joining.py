@@ -84,11 +84,11 @@ def join(
 
 
 def _own(file: _File) -> Iterator[Packet]:
-    """The part's own frames and their metrics; the first keyframe is one of the part that begins with it.
+    """The part's own frames, their sound and metrics; the first keyframe is one of the part that begins with it.
 
     Raises UsageError at the end if the part is not the one that was checked.
     """
-    kinds = FRAME_KINDS | ({PacketKind.METRICS} if file.part.metrics else set())
+    kinds = FRAME_KINDS | {PacketKind.SOUND} | ({PacketKind.METRICS} if file.part.metrics else set())
     content = hashlib.sha256()
     for packet in _packets(file.path, content):
         if packet.kind in kinds and (packet.frame or not file.part.start):
@@ -109,7 +109,7 @@ def _check_part(path: Path) -> _File:
                 keyframe = hashlib.sha256(packet.payload).hexdigest()
             frames += 1
             _check_start(path, packet, header)
-        elif packet.kind == PacketKind.METRICS:
+        elif packet.kind in (PacketKind.METRICS, PacketKind.SOUND):
             _check_packet(path, check_frame, packet, frames - 1)
         elif packet.kind == PacketKind.END:
             _check_packet(path, check_count, packet, frames)

@@ -211,6 +211,7 @@ class StreamEncoder:
             colours=colours or {},
             inherited=source.settings if isinstance(source, KeyframeSource) else None,
             recorded=recorded or {},
+            sound=() if self._options.sound is None else (self._options.sound.track,),
         )
 
     def _begin(self, frame: RigFrame) -> Stopwatch:

@@ -8,6 +8,7 @@ from decogs.formats.callbacks import OnWarning
 
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
+from ..input.sound import SoundSource
 from ..output.convergence_log import ConvergenceLog
 from ..output.reports import OnFrame, OnKeyframeStep
 
@@ -18,6 +19,7 @@ class RunOptions:
 
     keyframe: KeyframeSource | SplatSource | None = None  # an earlier stream's, or a file's Gaussians, to begin with
     metrics: bool = False  # each frame's PSNR goes behind it
+    sound: SoundSource | None = None  # goes beside the frames
     read_ahead: bool = True  # the next frame is read on a thread of its own while this one trains; takes memory
     on_frame: OnFrame | None = None
     on_keyframe_step: OnKeyframeStep | None = None

@@ -12,6 +12,7 @@ from ..input.recordings import is_current
 from ..output.metrics import write_metrics
 from ..output.reports import EncodeReport, FrameReport
 from ..output.resume import Interrupted, check_resumable
+from ..output.sound import SoundWriter
 from ..output.stream_output import FileOutput, StreamOutput, open_output
 from ..settings.encode import EncodeSettings
 from .encoder import Earlier, StreamEncoder
@@ -54,11 +55,13 @@ def encode_stream(
             if left.path != target.growing and left.ended and resumed == len(span):
                 return EncodeReport(target.name, [], left.path.stat().st_size, False, resumed)
         reports: list[FrameReport] = []
-        interrupted = False
+        sound, interrupted = SoundWriter(options.sound, target), False
         try:
             frames = ingest.frames(span.start, span.stop)
             for report in encoder.encode(frames, span.start, earlier):
                 reports.append(report)
+                if len(reports) >= (resumed or 0):  # what was behind the last frame that was left is cut off
+                    sound.write(report.frame - span.start)
                 if options.metrics:
                     write_metrics(target, report.frame - span.start, report)
                 if options.on_frame:

@@ -4,7 +4,23 @@
 finds. ``DESIGN.md`` has measurements and rejected variants.
 """
 
-from .opening import AUTO, open_synchronised
-from .starts import CameraStart, Synchrony, find_starts
+from typing import TYPE_CHECKING
 
-__all__ = ["AUTO", "CameraStart", "Synchrony", "find_starts", "open_synchronised"]
+from decogs.formats.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from .opening import AUTO as AUTO
+    from .opening import open_synchronised as open_synchronised
+    from .starts import CameraStart as CameraStart
+    from .starts import Synchrony as Synchrony
+    from .starts import find_starts as find_starts
+
+_HOMES = {
+    "AUTO": "opening",
+    "open_synchronised": "opening",
+    "CameraStart": "starts",
+    "Synchrony": "starts",
+    "find_starts": "starts",
+}
+__all__ = list(_HOMES)
+__getattr__ = lazy_names(__name__, _HOMES)

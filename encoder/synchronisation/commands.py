@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
 from decogs.formats.outputs import staged_files
-from decogs.formats.rigs import Rig, in_step, open_recordings
-from decogs.formats.rigs.rig_folder import check_new_folder, write_rig_folder
 
-from .opening import AUTO, open_synchronised
-from .starts import Synchrony, find_starts
-from .sync_file import NAME, sync_document
+if TYPE_CHECKING:
+    from decogs.formats.rigs import Rig
+
+    from .starts import Synchrony
 
 
 def sync_main(arguments: Sequence[str] | None = None) -> int:
@@ -49,12 +49,20 @@ def add_sync_option(group: argparse._ArgumentGroup | argparse.ArgumentParser) ->
 
 def rig_in_step(options: argparse.Namespace) -> Rig:
     """The rig that the options ask for, in step."""
+    from .opening import AUTO, open_synchronised
+
     quiet = options.quiet or options.sync != AUTO
     with progress("synchronising", "step", quiet=quiet) as on_step:
         return open_synchronised(options.rig_dir, options.sync, threads=options.threads, on_step=on_step)
 
 
 def _sync(parser: Parser, options: argparse.Namespace) -> None:
+    from decogs.formats.rigs import in_step, open_recordings
+    from decogs.formats.rigs.rig_folder import check_new_folder, write_rig_folder
+
+    from .starts import find_starts
+    from .sync_file import NAME, sync_document
+
     folder = Path(options.output)
     check_new_folder(folder)
     rig = open_recordings(options.rig_dir)

@@ -16,8 +16,8 @@ from decogs.formats.callbacks import OnProgress
 from decogs.formats.cameras import Camera
 from decogs.formats.length_units import metres_of
 from decogs.formats.rigs import FrameSource, Rig
-from decogs.formats.rigs.in_step import common_rate, steps_of
 from decogs.formats.rigs.rig import usual
+from decogs.formats.rigs.steps import common_rate, steps_of
 from decogs.formats.soundtracks import Sound, read_sound
 from decogs.formats.videos import VideoSource
 

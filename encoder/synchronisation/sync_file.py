@@ -9,7 +9,7 @@ from pathlib import Path
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import Rig
 from decogs.formats.rigs.fields import Fields, read_json
-from decogs.formats.rigs.in_step import MAX_START, common_rate
+from decogs.formats.rigs.steps import MAX_START, common_rate
 
 from .starts import Synchrony
 

@@ -3,6 +3,9 @@
 #include <cstdint>
 #include <memory>
 #include <new>
+#if defined(__x86_64__)
+#include <cpuid.h>
+#endif
 
 // Counters are of 64 bits: Python's compiler flags let integers wrap (-fwrapv), and loops over an int that may are not
 // turned into vectors.
@@ -104,21 +107,31 @@ void convert(const Samples& p, uint8_t* rgb, int32_t* rows) {
     }
 }
 
+// Asked of the processor, and of the system, which must keep the wide registers when it changes threads. For the
+// compilers' own __builtin_cpu_supports a library is needed that not every one of them brings.
+inline int widest_set() {
+#if defined(__x86_64__)
+    constexpr unsigned kFirst = bit_OSXSAVE | bit_FMA, kAvx2 = bit_AVX2 | bit_BMI2;
+    constexpr unsigned kAvx512 = bit_AVX512F | bit_AVX512BW | bit_AVX512CD | bit_AVX512DQ | bit_AVX512VL;
+    constexpr unsigned kWide = 0x06, kWidest = 0xe6;  // registers of 256 and of 512 bits
+    unsigned a, b, c, d;
+    if (!__get_cpuid(1, &a, &b, &c, &d) || (c & kFirst) != kFirst) return 0;
+    unsigned kept, high;
+    __asm__("xgetbv" : "=a"(kept), "=d"(high) : "c"(0));
+    if ((kept & kWide) != kWide || !__get_cpuid_count(7, 0, &a, &b, &c, &d) || (b & kAvx2) != kAvx2) return 0;
+    return (kept & kWidest) == kWidest && (b & kAvx512) == kAvx512 ? 2 : 1;
+#else
+    return 0;
+#endif
+}
+
 }  // namespace decogs
 
+#pragma GCC visibility push(default)
 extern "C" {
 
 // The best build for this processor: 2 AVX-512, 1 AVX2, 0 base. The base build answers, since every machine can load it.
-int decogs_instruction_set() {
-#if defined(__x86_64__)
-    __builtin_cpu_init();
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd"))
-        return 2;
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2")) return 1;
-#endif
-    return 0;
-}
+int decogs_instruction_set() { return decogs::widest_set(); }
 
 // Sizes of the structs of this interface, in the order in which Python's loader states them, and a 0 at the end.
 const int64_t* decogs_sizes() {
@@ -139,3 +152,4 @@ int decogs_rgb_of_ycbcr(const decogs::Samples* samples, uint8_t* rgb) {
 }
 
 }  // extern "C"
+#pragma GCC visibility pop

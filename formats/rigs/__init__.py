@@ -1,136 +1,38 @@
 """Opens a rig of synchronised, calibrated, fixed cameras in any known layout, and reads its frames in step."""
 
-from __future__ import annotations
+from typing import TYPE_CHECKING
 
-import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from pathlib import Path
+from ..lazy_names import lazy_names
 
-from ..cameras import Camera
-from ..errors import RecordingEnded, RigError, UsageError
-from ..pictures import PICTURE_SUFFIXES, Picture
-from ..threads import processor_count
-from ..videos import VIDEO_SUFFIXES
-from .detection import calibration_files, reader_at
-from .in_step import in_step
-from .live import LiveSource, dropped_in, open_live, stop_waiting
-from .rig import Points, Rig, without_cameras
-from .sources import FrameSource, PictureSource, list_folder
+if TYPE_CHECKING:
+    from .live import dropped_in as dropped_in
+    from .live import open_live as open_live
+    from .live import stop_waiting as stop_waiting
+    from .opening import files_of as files_of
+    from .opening import files_with as files_with
+    from .opening import open_recordings as open_recordings
+    from .opening import open_rig as open_rig
+    from .opening import read_frames as read_frames
+    from .rig import Points as Points
+    from .rig import Rig as Rig
+    from .rig import without_cameras as without_cameras
+    from .sources import FrameSource as FrameSource
+    from .steps import in_step as in_step
 
-__all__ = [
-    "FrameSource",
-    "Points",
-    "Rig",
-    "dropped_in",
-    "files_of",
-    "files_with",
-    "in_step",
-    "open_live",
-    "open_recordings",
-    "open_rig",
-    "read_frames",
-    "stop_waiting",
-    "without_cameras",
-]
-
-
-def open_rig(path: str | os.PathLike[str]) -> Rig:
-    """The rig in a folder, or calibrated by the given calibration file or COLMAP model folder.
-
-    Detects the layout, reads the calibration, and compares frame counts, sizes and rates of all cameras, or brings them
-    in step where the calibration states their starts; no frame is decoded, but the first of EXR that have alpha. Raises
-    RigError, in one line, on anything that does not fit.
-    """
-    rig = open_recordings(path)
-    return in_step(rig, rig.starts)
-
-
-def open_recordings(path: str | os.PathLike[str]) -> Rig:
-    """The rig as `open_rig` finds it, with whole recordings: their lengths, rates and starts may differ.
-
-    Its frame k is an instant of each camera's own. Raises RigError.
-    """
-    folder = Path(path)
-    if not os.path.exists(folder):
-        raise RigError(f"{folder}: there is no such folder; check the path")
-    return reader_at(folder)()
-
-
-def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
-    """Every file that nothing may be written over, and what it is: frames, calibration, and those that lie beside."""
-    for source in rig.sources:
-        for file in source.files if isinstance(source, PictureSource) else (source.path,):
-            yield file, "holds frames of the rig"
-    # Another calibration or camera that lies there was not read, but is the user's all the same.
-    for file in (*rig.calibration, *calibration_files(rig.path)):
-        yield file, "is the rig's calibration"
-    for entry in list_folder(rig.path):
-        if entry.suffix.lower() in VIDEO_SUFFIXES | PICTURE_SUFFIXES:
-            yield entry, "is in the rig's folder, as its frames are"
-
-
-def files_with(rig: Rig, frames: range) -> Iterator[Path]:
-    """The files that hold these frames, camera by camera: their pictures, or whole videos."""
-    for source in rig.sources:
-        yield from source.files[frames.start : frames.stop] if isinstance(source, PictureSource) else (source.path,)
-
-
-def read_frames(
-    rig: Rig, start: int = 0, stop: int | None = None, *, step: int = 1, names: Sequence[str] | None = None
-) -> Iterator[tuple[int, list[Picture]]]:
-    """Every step-th frame from start (inclusive) to stop (exclusive): its index, a picture of each camera in ``names``.
-
-    Pictures come in the order of ``names`` (default: all cameras); other cameras are never opened. One frame of each
-    camera is held at a time; files are read strictly in sequence, also to reach ``start``. Cameras are decoded side by
-    side. Frames of a recording that goes on (``open_live``) come as they are taken, and end with it. Raises UsageError
-    for a range or name the rig does not have, RigError naming file and frame while reading.
-    """
-    stop = rig.frame_count if stop is None else stop
-    if not 0 <= start <= stop <= rig.frame_count:
-        raise UsageError(f"{rig.path}: frames {start}:{stop} are not within the {rig.frame_count} frames of the rig")
-    rows = {camera.name: row for row, camera in enumerate(rig.cameras)}
-    wanted = list(rows) if names is None else list(names)
-    unknown = [name for name in wanted if name not in rows]
-    if unknown:
-        raise UsageError(f"{rig.path}: no camera {unknown[0]!r}; there are {', '.join(rows)}")
-    chosen = [(rig.cameras[rows[name]], rig.sources[rows[name]]) for name in wanted]
-    return _frames_in_step(chosen, range(start, stop, step))
-
-
-def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> Iterator[tuple[int, list[Picture]]]:
-    readers = [source.read(frames.start, frames.stop, frames.step) for _, source in chosen]
-    # Cameras that are recording are waited for, all at once.
-    waits = any(isinstance(source, LiveSource) for _, source in chosen)
-    pool = ThreadPoolExecutor(max_workers=max(1, len(chosen) if waits else min(len(chosen), processor_count())))
-    pending: list[Future[Picture]] = []
-    try:
-        for index in frames:
-            pending = [
-                pool.submit(_next_picture, camera, source, reader, index)
-                for (camera, source), reader in zip(chosen, readers, strict=True)
-            ]
-            try:
-                yield index, [future.result() for future in pending]
-            except RecordingEnded:
-                return
-    finally:
-        stop_waiting(source for _, source in chosen)
-        # Waits for decoders in flight: a reader must not be closed while its thread runs. Not for the threads to end:
-        # the garbage collector may close this while it holds the lock that joining a thread takes.
-        wait(pending)
-        pool.shutdown(wait=False)
-        for reader in readers:
-            reader.close()
-
-
-def _next_picture(camera: Camera, source: FrameSource, reader: Iterator[Picture], index: int) -> Picture:
-    picture = next(reader, None)
-    if picture is None:
-        raise RigError(f"{source.path}: ends before frame {index}; bring all cameras to the same number of frames")
-    if picture.shape != (camera.height, camera.width, 3):
-        raise RigError(
-            f"{source.path}: frame {index} is {picture.shape[1]} x {picture.shape[0]} pixels, but camera {camera.name} "
-            f"has {camera.width} x {camera.height}; bring all frames to one size"
-        )
-    return picture
+_HOMES = {
+    "in_step": "steps",
+    "dropped_in": "live",
+    "open_live": "live",
+    "stop_waiting": "live",
+    "files_of": "opening",
+    "files_with": "opening",
+    "open_recordings": "opening",
+    "open_rig": "opening",
+    "read_frames": "opening",
+    "Points": "rig",
+    "Rig": "rig",
+    "without_cameras": "rig",
+    "FrameSource": "sources",
+}
+__all__ = list(_HOMES)
+__getattr__ = lazy_names(__name__, _HOMES)

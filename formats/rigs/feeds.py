@@ -38,6 +38,10 @@ class Feed(Protocol):
         """The picture of a frame; None while it is not there whole. Raises RigError for what cannot be encoded."""
         ...
 
+    def holds(self, frame: int) -> bool:
+        """Whether the picture of a frame has come, but is given out only when more has."""
+        ...
+
     def is_over(self, frame: int) -> bool:
         """Whether the picture of a frame that is not there will not come any more."""
         ...
@@ -94,6 +98,10 @@ class FolderFeed:
         except RigError:
             return None
         raise of_another_size(str(file), self.camera, facts.width, facts.height)
+
+    def holds(self, frame: int) -> bool:
+        """False: a file holds one picture."""
+        return False
 
     def is_over(self, frame: int) -> bool:
         """False: a file may come at any time."""

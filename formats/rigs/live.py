@@ -26,10 +26,10 @@ from .connections import GrowingVideo, SendingCamera, check_address
 from .detection import reader_at
 from .feeds import Feed, FolderFeed
 from .fields import Fields, read_toml
-from .in_step import in_step
 from .rig import Rig, assemble_rig
 from .sender_times import SharedClock
 from .sources import FrameSource
+from .steps import in_step
 from .video_feed import Connection, VideoFeed
 
 LAYOUT = "live"
@@ -56,7 +56,8 @@ OpenFeed = Callable[[Camera], Feed]
 class _Recording:
     """How the feed of each camera is opened, and for how long it is waited for; ``every``: the frames that are taken.
 
-    ``feeds``: those that are open. ``dropped``: by frame and camera, why there was no picture, of the last ones.
+    ``feeds``: those that are open. ``ended``: cameras that have waited ``end`` seconds for a frame that none had.
+    ``dropped``: by frame and camera, why there was no picture, of the last ones.
     """
 
     opened: Mapping[str, OpenFeed]
@@ -65,6 +66,7 @@ class _Recording:
     end: float
     every: int
     feeds: dict[str, Feed] = field(default_factory=dict, compare=False)
+    ended: set[str] = field(default_factory=set, compare=False)
     dropped: dict[int, dict[str, str]] = field(default_factory=dict, compare=False)
 
     def has(self, frame: int, *, but: str) -> bool:
@@ -110,6 +112,7 @@ class LiveSource:
         RigError where the first does not come, or one has another size.
         """
         name = self.camera.name
+        self.recording.ended.discard(name)
         feed = self.recording.feeds[name] = self.recording.opened[name](self.camera)
         return self._pictures(_Follower(self, feed), range(start, stop, step))
 
@@ -128,7 +131,6 @@ class _Follower:
         self.feed, self._source, self._recording = feed, source, source.recording
         self._last: Picture | None = None
         self._lacking: list[int] = []  # the frames before that were dropped
-        self._finishing = False
 
     def next(self, frame: int) -> Picture:
         """The picture of a frame, or the one before it where the camera has dropped the frame."""
@@ -154,14 +156,17 @@ class _Follower:
             now = time.monotonic()
             if recording.feeds.get(name) is not feed:
                 raise RecordingEnded(f"{self._source.path}: nobody waits for it any more")
-            if self._last is not None and (feed.is_over(frame) or recording.has(frame, but=name)):
+            missed = feed.is_over(frame) or recording.has(later if feed.holds(frame) else frame, but=name)
+            missed = missed and self._last is not None
+            if not missed and now > began + recording.end:
+                recording.ended.add(name)
+            holds_back = bool(recording.ended) and feed.finish()
+            if missed and not holds_back:
                 due = now + patience if due is None else due
                 if now >= due or feed.is_over(frame) or recording.has(later, but=name):
                     return None
-            elif self._finishing or now > began + recording.end:
-                self._finishing = True
-                if not feed.finish():
-                    raise self._ended()
+            elif recording.ended and not holds_back:
+                raise self._ended()
             time.sleep(_POLL)
         return picture
 

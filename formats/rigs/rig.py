@@ -69,7 +69,7 @@ def assemble_rig(
     licence: str = "",
     length_unit: str = "",
 ) -> Rig:
-    """Cross-checks the cameras and their sources, and puts them in natural order; not yet in step (`in_step.in_step`).
+    """Cross-checks the cameras and their sources, and puts them in natural order; not yet in step (`steps.in_step`).
 
     ``resizable``: the calibration may be for another resolution of the same picture (all cameras by the same factor);
     its intrinsics are then rescaled. ``fps`` overrides the videos' own rate.

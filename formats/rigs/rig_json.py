@@ -16,9 +16,9 @@ from ..errors import RigError
 from .calibration import calibrated_camera, rigid_pose
 from .colmap import has_model, model_files, read_points
 from .fields import Fields, read_json
-from .in_step import MAX_START, common_rate
 from .rig import Rig, assemble_rig
 from .sources import open_source
+from .steps import MAX_START, common_rate
 
 LAYOUT = "rig.json"
 CALIBRATION = "rig.json"

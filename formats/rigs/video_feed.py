@@ -140,6 +140,10 @@ class VideoFeed:
                 raise of_another_size(self._connection.place, self._camera, self._shown.width, self._shown.height)
         return self._shown.picture(decoded, frame)
 
+    def holds(self, frame: int) -> bool:
+        """Whether the frame's packet has come, which the decoder gives out after those of others."""
+        return self.reached(frame) and not self.is_over(frame) and not self._drained
+
     def is_over(self, frame: int) -> bool:
         """Whether a later frame is decoded, or this one is known to be damaged."""
         return (bool(self._decoded) and self._decoded[0][0] > frame) or frame in self._damaged
@@ -158,11 +162,13 @@ class VideoFeed:
         self._over.set()
         with self._lock:
             self._lock.notify_all()
+        if self._drained:
+            return False
         no_more = self._connection.sends or not self._thread.is_alive()
-        if no_more and (not self._queue or self._zero is None) and not self._drained:
+        if no_more and (not self._queue or self._zero is None):
             self._drained = True
             self._flush()
-        return not self._drained
+        return True
 
     def close(self) -> None:
         """Ends the thread, which may be waiting for a sender for some seconds more."""

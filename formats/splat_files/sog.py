@@ -27,8 +27,6 @@ _PALETTE_ROW = 64
 _LARGEST_PALETTE = 1 << 16
 _MORTON_BITS = 10
 _LARGEST_COORDINATE = 65535
-_LOSSLESS = 101
-"""OpenCV's WebP quality that is lossless. Pixels of alpha 0 lose their colour, and so do Gaussians of opacity 0."""
 _FIRST_LARGEST = 252
 """In a rotation's alpha: w is the largest component; x, y and z follow."""
 _OTHERS = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
@@ -129,26 +127,25 @@ def _bundle(meta: dict[str, Any], images: dict[str, bytes]) -> bytes:
 
 def _image(rows: Bytes, width: int = 0) -> bytes:
     """A lossless WebP whose pixels, from the top left on, are the rows (N, 2), (N, 3) or (N, 4); the last are spare."""
-    import cv2
+    from PIL import Image
 
     width = width or -(-int(np.ceil(np.sqrt(len(rows)))) // 4) * 4
     height = -(-len(rows) // width)
     image = np.zeros((height * width, 4), np.uint8)
     image[:, 3] = 255
     image[: len(rows), : rows.shape[1]] = rows
-    rgba = image.reshape(height, width, 4)
-    _, data = cv2.imencode(".webp", rgba[..., [2, 1, 0, 3]], [cv2.IMWRITE_WEBP_QUALITY, _LOSSLESS])
-    return bytes(data)
+    file = io.BytesIO()
+    # Pixels of alpha 0 lose their colour, and so do Gaussians of opacity 0.
+    Image.fromarray(image.reshape(height, width, 4)).save(file, "webp", lossless=True)
+    return file.getvalue()
 
 
 def _pixels(data: bytes) -> Bytes:
     """RGBA, (N, 4), from the top left on."""
-    import cv2
+    from PIL import Image
 
-    image = np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
-    if image.shape[2] == 3:
-        image = np.concatenate([image, np.full_like(image[..., :1], 255)], axis=2)
-    return np.asarray(image[..., [2, 1, 0, 3]].reshape(-1, 4), np.uint8)
+    with Image.open(io.BytesIO(data)) as image:
+        return np.asarray(image.convert("RGBA"), np.uint8).reshape(-1, 4)
 
 
 def _coordinates(means: FloatArray) -> tuple[Bytes, Bytes, dict[str, list[float]]]:

@@ -6,7 +6,7 @@
  * always belongs to the frame sent last.
  */
 import type { PinholeCamera } from "./geometry/camera";
-import type { CameraCorrection, FrameKind, StreamHeader } from "./scene";
+import type { CameraCorrection, FrameKind, SoundFrame, StreamHeader } from "./scene";
 
 /** Depth of a point along the view: x, y, z weights and an offset, the last row of world-to-camera. */
 export type DepthRow = readonly [number, number, number, number];
@@ -32,6 +32,8 @@ export type ToWorker =
   | { readonly type: "still"; readonly frame: number; readonly camera: PinholeCamera }
   /** Give the frame that is shown as a .ply; answered by a "ply". */
   | { readonly type: "ply" }
+  /** The sound of frames from one up to, not including, another; answered by a "sound" of the same `request`. */
+  | { readonly type: "sound"; readonly from: number; readonly to: number; readonly request: number }
   | { readonly type: "close" };
 
 /** A picture that the decoder's kernel drew, RGBA. */
@@ -157,5 +159,6 @@ export type FromWorker =
   | { readonly type: "still"; readonly picture: ExactPicture | null }
   /** null: there is none, and `problem` says why. */
   | { readonly type: "ply"; readonly bytes: Uint8Array<ArrayBuffer> | null; readonly problem: string }
+  | { readonly type: "sound"; readonly request: number; readonly frames: readonly SoundFrame[] }
   /** `request` null: the stream cannot be opened at all. */
   | { readonly type: "failed"; readonly request: number | null; readonly message: string };

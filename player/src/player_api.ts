@@ -74,6 +74,9 @@ export interface PlayerApi extends HTMLElement {
   playbackRate: number;
   /** So large a share of the pixels is drawn, and fewer Gaussians, from above 0 to 1. */
   quality: number;
+  /** Of a stream that has sound, from 0 to 1. */
+  volume: number;
+  muted: boolean;
   loop: boolean;
   /** Frames that are played again and again, from one up to, not including, another; null: all are played. */
   range: Span | null;

@@ -75,6 +75,7 @@ export interface StreamHeader {
   /** Whether this is a subject without its surroundings: what it does not cover is not black but nothing. */
   readonly subject: boolean;
   readonly presentation: Presentation;
+  readonly sound: readonly SoundTrack[];
 }
 
 /** How a stream wants to be shown (SPEC section 4). null and the empty text: it does not say. */
@@ -86,6 +87,26 @@ export interface Presentation {
   readonly firstView: string | null;
   /** Takes scene and cameras as they are stored to the world that the stream is shown in. */
   readonly transform: Similarity | null;
+}
+
+/** A track of sound; all are played together. */
+export interface SoundTrack {
+  readonly channels: 1 | 2;
+  /** Where in the scene it comes from; null: it has no place. */
+  readonly position: readonly [number, number, number] | null;
+}
+
+/** Coded blocks of a track, without a gap; the first begins so many samples after its frame. */
+export interface SoundPacket {
+  readonly track: number;
+  readonly offset: number;
+  readonly blocks: readonly Uint8Array<ArrayBuffer>[];
+}
+
+/** The sound of one frame. */
+export interface SoundFrame {
+  readonly frame: number;
+  readonly packets: readonly SoundPacket[];
 }
 
 /** What is known of a frame without decoding it: from the index packet, or from packet headers seen so far. */
@@ -185,6 +206,8 @@ export interface SceneStream {
   keyframe(index: number): Promise<Still>;
   /** Reads bytes of the coming frames ahead, within the window that bounds memory. */
   prefetch(from: number): Promise<void>;
+  /** The sound of frames from one up to, not including, another, as far as they are known; damage is silence. */
+  sound(from: number, to: number): Promise<SoundFrame[]>;
   /** Looks whether the source has grown; resolves to whether it has. */
   refresh(): Promise<boolean>;
   close(): void;

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec import corrections, entropy, header, lattice, state
+from decogs.codec import corrections, entropy, header, lattice, sound, state
 from decogs.codec.deltas import difference
 from decogs.codec.digest import digest
 from decogs.codec.header import StreamHeader
@@ -126,6 +126,7 @@ def test_limits_of_the_specification_are_those_of_the_code() -> None:
         "id": state.MAX_ID,
         "zstd window in bytes": entropy.MAX_WINDOW,
         "corrections block in bytes": 2 * sum(map(len, corrections.EFFECT_FIELDS.values())) * header.MAX_CAMERAS,
+        "tracks of sound": sound.MAX_TRACKS,
         "log-scale magnitude when decoded": lattice.LOG_SCALE_BOUND,
         "opacity logit magnitude when decoded": lattice.OPACITY_LOGIT_BOUND,
     }

@@ -20,7 +20,7 @@ from good_vectors import (
     moving,
     worked_example,
 )
-from plain_container import DELTA, END, HEADER, INDEX, KEY, METRICS, SKIP
+from plain_container import DELTA, END, HEADER, INDEX, KEY, METRICS, SKIP, SOUND
 from plain_header import Header
 from plain_state import digest
 from stream_writer import (
@@ -119,7 +119,8 @@ def damaged_packets() -> Iterator[Vector]:
         "reserved-bits-skip-not-critical": packet(SKIP, 1, told, flags=0),
         "reserved-bits-index-critical": packet(INDEX, 0, bytes(4), flags=1),
         "reserved-bits-metrics-critical": packet(METRICS, 0, b"", flags=1),
-        "unknown-critical": packet(8, 1, told, flags=1),
+        "reserved-bits-sound-critical": packet(SOUND, 1, b"", flags=1),
+        "unknown-critical": packet(9, 1, told, flags=1),
         "unknown-critical-0": packet(0, 1, told, flags=1),
         "unknown-critical-255": packet(255, 0, b"", flags=1),
         "misplaced-packet-second-header": packet(HEADER, 0, canonical(example_header())),

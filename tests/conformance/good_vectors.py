@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from plain_container import DELTA, INDEX, KEY, MEANS, METRICS
+from plain_container import DELTA, INDEX, KEY, MEANS, METRICS, SOUND
 from plain_state import digest
 from stream_writer import (
     Coding,
@@ -86,7 +86,7 @@ def good_containers() -> Iterator[Vector]:
     stream.key(stream.state(scene(2, 3, stream.width)))
     stream.add(METRICS, 0, b"")
     stream.add(0, 0, b"", flags=0)
-    stream.add(8, 77, b"of a later version", flags=0)
+    stream.add(9, 77, b"of a later version", flags=0)
     stream.skip()
     stream.add(128, 0, bytes(300), flags=0)
     stream.add(METRICS, 1, b"\xff\xfe")
@@ -459,6 +459,54 @@ def good_presentations() -> Iterator[Vector]:
             yield stream.good(f"good/presentation-without-{member}-{number}")
     for number, value in enumerate(([], None, "title")):
         yield opened(document={**example_header(), "presentation": value}).good(f"good/presentation-none-{number}")
+
+
+SOUND_TRACKS: list[dict[str, Any]] = [
+    {"codec": "opus", "channels": 2, "title": "Räume", "position": [1, -2.5, 1e12]},
+    {"codec": "opus", "channels": 1},
+]
+NO_SOUND: tuple[Any, ...] = (
+    None,
+    [*SOUND_TRACKS, {"codec": "aac", "channels": 2}],
+    [*SOUND_TRACKS, {"codec": "opus", "channels": 3}],
+    [*SOUND_TRACKS, {"codec": "opus", "channels": 1, "position": [0, 0, 1.1e12]}],
+)
+"""Lists of tracks that are out of their bounds."""
+
+SILENCE = bytes.fromhex("fcfffe")
+"""20 ms of stereo silence (RFC 6716, section 3.1: configuration 31, one frame)."""
+
+
+def heard(tracks: Any, fps: float | None) -> Stream:
+    return opened(document={**example_header(), "fps": fps, "sound": tracks})
+
+
+def good_sounds() -> Iterator[Vector]:
+    """Sound changes no state; what of it is out of bounds or damaged is not there."""
+    stream = heard(SOUND_TRACKS, 30000 / 1001)
+    stream.sound(0, -312, [SILENCE, SILENCE])
+    stream.sound(0, 0, [b"\xff"], track=1)
+    stream.skip()
+    stream.sound(1, 1608, [SILENCE, bytes(1276)])
+    stream.skip()
+    for frame in (1, 3):
+        stream.add(SOUND, frame, struct.pack("<Bi", 0, 0) + b"\3\0" + SILENCE, flags=0)
+    stream.sound(2, 9_000_000, [SILENCE])
+    stream.finish()
+    yield stream.good("good/sound", indexes=[True])
+    stream = heard(SOUND_TRACKS, 25)
+    for payload in (b"", b"\0", struct.pack("<Bi", 0, 0), struct.pack("<Bi", 2, 0) + b"\1\0\xff"):
+        stream.add(SOUND, 0, payload, flags=0)
+    for payload in (b"\0\0", b"\1\0\xff\0\0", b"\2\0\xff", b"\1\0\xff\1", b"\xfd\4" + bytes(1277)):
+        stream.add(SOUND, 0, struct.pack("<Bi", 0, 0) + payload, flags=0)
+    stream.sound(0, 5, [SILENCE])
+    stream.finish()
+    yield stream.good("good/sound-that-is-damaged", indexes=[True])
+    yield heard([{**SOUND_TRACKS[0], "invented_later": 1}] * 16, 1).good("good/sound-of-many-tracks")
+    for number, tracks in enumerate(NO_SOUND):
+        yield heard(tracks, 24).good(f"good/sound-none-{number}")
+    for name, fps in (("unknown", None), ("slow", 0.99)):
+        yield heard(SOUND_TRACKS, fps).good(f"good/sound-none-at-{name}-rate")
 
 
 def faults(first: int) -> dict[str, dict[str, int]]:

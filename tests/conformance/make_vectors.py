@@ -14,7 +14,7 @@ import io
 import json
 import struct
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from good_vectors import (
     good_corrections,
     good_payloads,
     good_presentations,
+    good_sounds,
     good_states,
     good_subjects,
 )
@@ -64,6 +65,7 @@ def vectors() -> Iterator[Vector]:
     yield from good_colours()
     yield from good_subjects()
     yield from good_presentations()
+    yield from good_sounds()
     yield from damaged_containers()
     yield from damaged_headers()
     yield from damaged_payloads()
@@ -83,7 +85,17 @@ def outcome(vector: Vector) -> dict[str, Any]:
         failure = dict(zip(("reason", "packet", "offset"), vector.failure, strict=True))
     frames = [] if vector.header is None else [hashes(state, vector.header) for state in vector.states]
     shown = {} if vector.header is None else vector.header.presentation
-    return {**limits, **indexes, "frames": frames, "failure": failure, **({"presentation": shown} if shown else {})}
+    tracks = [] if vector.header is None else vector.header.sound
+    heard = {"sound": {"tracks": tracks, "packets": heard_packets(vector.sounds)}} if tracks else {}
+    told = {**limits, **indexes, **heard}
+    return {**told, "frames": frames, "failure": failure, **({"presentation": shown} if shown else {})}
+
+
+def heard_packets(sounds: Iterable[Any]) -> list[list[Any]]:
+    """Of each SOUND packet that can be played: track, first sample, number of blocks, their hash."""
+    return [
+        [each.track, each.first, len(each.blocks), hashlib.sha256(b"".join(each.blocks)).hexdigest()] for each in sounds
+    ]
 
 
 def hashes(state: State, header: Header) -> dict[str, Any]:

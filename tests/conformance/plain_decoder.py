@@ -19,6 +19,7 @@ from plain_container import (
     HEADER,
     INDEX,
     KEY,
+    SOUND,
     Broken,
     Limits,
     Packet,
@@ -30,7 +31,7 @@ from plain_container import (
     refuse,
 )
 from plain_header import Header, read_header
-from plain_payload import corrections, delta, key, skip
+from plain_payload import Sound, corrections, delta, key, skip, sound
 from plain_state import State, digest
 
 # Section 7: frame by frame
@@ -40,13 +41,15 @@ from plain_state import State, digest
 class Decoded:
     """A stream read in order as far as it can be: header, the state after each frame, and why it stops, if it does.
 
-    `indexes` tells of each index packet, for which a reader that does not seek has no use, whether it is right.
+    `indexes` tells of each index packet, for which a reader that does not seek has no use, whether it is right;
+    `sounds` are the SOUND packets that a reader can play.
     """
 
     header: Header | None
     states: list[State]
     failure: Broken | None
     indexes: list[bool]
+    sounds: list[Sound]
 
 
 def decode(data: bytes, limits: Limits | None = None) -> Decoded:
@@ -55,6 +58,7 @@ def decode(data: bytes, limits: Limits | None = None) -> Decoded:
     states: list[State] = []
     frames: list[Packet] = []
     indexes: list[bool] = []
+    sounds: list[Sound] = []
     limits = limits or Limits()
     try:
         with located(None, 0):
@@ -67,12 +71,14 @@ def decode(data: bytes, limits: Limits | None = None) -> Decoded:
                     indexes.append(index_is_right(packet, frames))
                 elif packet.kind == END:
                     check_end(packet, len(frames))
+                elif packet.kind == SOUND:
+                    sounds += sound(packet, header, len(frames) - 1)
                 elif packet.kind in FRAME_KINDS:
                     states.append(frame(packet, header, states, limits))
                     frames.append(packet)
     except Broken as broken:
-        return Decoded(header, states, broken, indexes)
-    return Decoded(header, states, None, indexes)
+        return Decoded(header, states, broken, indexes, sounds)
+    return Decoded(header, states, None, indexes, sounds)
 
 
 def frame(packet: Packet, header: Header, states: list[State], limits: Limits) -> State:

@@ -16,13 +16,15 @@ from plain_container import COEFFICIENTS, CORRECTIONS, EFFECTS, refuse
 class Header:
     """What decoding needs of the header packet: the number of SH coefficients, the lattice, corrected cameras.
 
-    And how the stream wants to be shown, as far as that is within its bounds.
+    And how the stream wants to be shown, and its tracks of sound, as far as these are within their bounds.
     """
 
     coefficients: int
     lattice: dict[str, Any]
     corrected: dict[str, list[str]] = field(default_factory=dict)
     presentation: dict[str, Any] = field(default_factory=dict)
+    sound: list[dict[str, Any]] = field(default_factory=list)
+    fps: float | None = None
 
     @property
     def channels(self) -> list[int]:
@@ -38,7 +40,12 @@ def read_header(payload: bytes) -> Header:
     if any(name not in EFFECTS for name in header["effects"]):
         refuse("unsupported-effect")
     return Header(
-        (header["sh_degree"] + 1) ** 2, header["lattice"], header.get("corrected", {}), presentation_of(header)
+        (header["sh_degree"] + 1) ** 2,
+        header["lattice"],
+        header.get("corrected", {}),
+        presentation_of(header),
+        sound_of(header),
+        header["fps"],
     )
 
 
@@ -55,6 +62,25 @@ def presentation_of(header: dict[str, Any]) -> dict[str, Any]:
         "transform": is_transform,
     }
     return {name: told[name] for name, good in is_good.items() if name in told and good(told[name])}
+
+
+def sound_of(header: dict[str, Any]) -> list[dict[str, Any]]:
+    """The tracks of sound; none where anything of the list is out of bounds."""
+    tracks, fps = header.get("sound"), header["fps"]
+    if not isinstance(tracks, list) or not 1 <= len(tracks) <= 16 or fps is None or fps < 1:
+        return []
+    is_good = {
+        "codec": lambda value: value == "opus",
+        "channels": lambda value: is_integer(value, 1, 2),
+        "title": lambda value: isinstance(value, str) and len(value) <= 65_536,
+        "position": lambda value: is_vector(value, 3, -1e12, 1e12),
+    }
+    for track in tracks:
+        if not (isinstance(track, dict) and {"codec", "channels"} <= track.keys()):
+            return []
+        if not all(good(track[name]) for name, good in is_good.items() if name in track):
+            return []
+    return [{name: track[name] for name in is_good if name in track} for track in tracks]
 
 
 def is_transform(value: Any) -> bool:

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 
 import zstandard
-from plain_container import CORRECTIONS, ID_END, MEANS, RESIDUALS, SH_REST, VALUES, Fields, Limits, Packet, refuse
+from plain_container import (
+    CORRECTIONS,
+    ID_END,
+    MEANS,
+    RESIDUALS,
+    SH_REST,
+    VALUES,
+    Broken,
+    Fields,
+    Limits,
+    Packet,
+    refuse,
+)
 from plain_header import Header
 from plain_state import State, wrapped
 
@@ -257,3 +270,29 @@ def skip(packet: Packet, before: State) -> tuple[int, State]:
     told = fields.u64()
     fields.finish()
     return told, State(packet.frame, before.next_id, before.ids, before.rows)
+
+
+@dataclass(frozen=True)
+class Sound:
+    """Blocks of a track, and the sample with which the first one begins."""
+
+    track: int
+    first: int
+    blocks: list[bytes]
+
+
+def sound(packet: Packet, header: Header, frame: int) -> list[Sound]:
+    """What a SOUND packet behind this frame holds; nothing where it is damaged, which costs its own sound alone."""
+    fields, blocks = Fields(packet.payload), []
+    try:
+        track, offset = fields.u8(), fields.i32()
+        if track >= len(header.sound) or packet.frame != frame:
+            refuse("bad-payload")
+        while not blocks or fields.position < len(packet.payload):
+            length = int.from_bytes(fields.take(2), "little")
+            if not 1 <= length <= 1276:
+                refuse("bad-payload")
+            blocks.append(fields.take(length))
+    except Broken:
+        return []
+    return [Sound(track, math.floor(packet.frame * 48000 / header.fps + 0.5) + offset, blocks)]

@@ -6,6 +6,7 @@ No encoder chooses anything here, so that streams reach what none writes, and br
 from __future__ import annotations
 
 import json
+import math
 import struct
 import zlib
 from collections.abc import Callable, Sequence
@@ -13,8 +14,9 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
-from plain_container import CORRECTIONS, DELTA, END, FRAME_KINDS, HEADER, INDEX, KEY, SIGNATURE, SKIP, Limits
-from plain_header import Header, presentation_of
+from plain_container import CORRECTIONS, DELTA, END, FRAME_KINDS, HEADER, INDEX, KEY, SIGNATURE, SKIP, SOUND, Limits
+from plain_header import Header, presentation_of, sound_of
+from plain_payload import Sound
 from plain_state import State, digest, mix, wrapped
 
 MISSING = object()
@@ -31,6 +33,7 @@ class Vector:
     failure: tuple[str, int | None, int] | None = None
     limits: Limits | None = None
     indexes: tuple[bool, ...] = ()
+    sounds: tuple[Sound, ...] = ()
 
 
 # Fields of payloads (SPEC.md, section 6), each the inverse of what a decoder reads
@@ -239,12 +242,15 @@ class Stream:
     def __post_init__(self) -> None:
         corrected = self.document.get("corrected", {})
         told = presentation_of(self.document)
-        self.header = Header((self.document["sh_degree"] + 1) ** 2, self.document["lattice"], corrected, told)
+        heard, fps = sound_of(self.document), self.document["fps"]
+        degree = self.document["sh_degree"]
+        self.header = Header((degree + 1) ** 2, self.document["lattice"], corrected, told, heard, fps)
         self.width = sum(self.header.channels)
         self.data = self.head
         self.offsets: list[int] = []
         self.frames: list[tuple[int, int, int]] = []
         self.states: list[State] = []
+        self.sounds: list[Sound] = []
         self.corrections: dict[str, dict[str, int]] = {}
         self.add(HEADER, 0, canonical(self.document))
 
@@ -253,6 +259,13 @@ class Stream:
         self.raw(packet(kind, frame, payload, **header))
         if kind in FRAME_KINDS:
             self.frames.append((self.offsets[-1], frame, kind))
+
+    def sound(self, frame: int, first: int, blocks: list[bytes], *, track: int = 0) -> None:
+        """Sound of a track, from the sample ``first`` of the stream on."""
+        offset = first - math.floor(frame * 48000 / self.header.fps + 0.5)
+        coded = b"".join(struct.pack("<H", len(block)) + block for block in blocks)
+        self.add(SOUND, frame, struct.pack("<Bi", track, offset) + coded, flags=0)
+        self.sounds.append(Sound(track, first, blocks))
 
     def raw(self, data: bytes) -> None:
         self.offsets.append(len(self.data))
@@ -353,7 +366,9 @@ class Stream:
         self.end()
 
     def good(self, name: str, *, limits: Limits | None = None, indexes: Sequence[bool] = ()) -> Vector:
-        return Vector(name, self.data, self.header, tuple(self.states), None, limits, tuple(indexes))
+        return Vector(
+            name, self.data, self.header, tuple(self.states), None, limits, tuple(indexes), tuple(self.sounds)
+        )
 
     def broken(self, name: str, reason: str, *, limits: Limits | None = None, indexes: Sequence[bool] = ()) -> Vector:
         """The vector of a stream whose last packet is broken."""

@@ -276,7 +276,7 @@ def test_errors_are_one_line_and_exit_code_2(small_stream, tmp_path: Path, capsy
     broken.write_bytes(data)
     for arguments, message in (
         ([scene, "--view", "cam9", "-o", out], "no camera 'cam9' in this stream; it has cam00, cam01, wide"),
-        ([scene, "-o", out], "one of the arguments --view --camera --orbit --spiral is required"),
+        ([scene, "-o", out], "choose one view: a camera of the rig (cam00"),
         ([scene, "--view", "cam00"], "required: -o/--output"),
         ([scene, "--view", "cam00", "--camera", "x", "-o", out], "not allowed with"),
         ([scene, "--camera", str(tmp_path / "no.json"), "-o", out], "no.json: cannot be read"),

@@ -1,4 +1,4 @@
-"""The decoder works without torch and without the encoder: both are made impossible to import."""
+"""The decoder works without the encoder and what the extras bring, which are made impossible to import."""
 
 from __future__ import annotations
 
@@ -6,42 +6,59 @@ import subprocess
 import sys
 from pathlib import Path
 
-PROGRAM = """
+import pytest
+
+BLOCKED = """
 import sys
+blocked = sys.argv.pop(1).split(",")
 
 class Blocked:
     def find_spec(self, name, path=None, target=None):
-        if name == "torch" or name.startswith(("torch.", "decogs.encoder")):
-            raise ImportError(f"{name} is blocked")
+        if any(name == one or name.startswith(one + ".") for one in blocked):
+            raise ModuleNotFoundError(f"{name} is blocked", name=name)
 
 sys.meta_path.insert(0, Blocked())
-for blocked in ("torch", "decogs.encoder"):
+for one in blocked:
     try:
-        __import__(blocked)
+        __import__(one)
     except ImportError:
         pass
     else:
-        sys.exit(f"{blocked} is not blocked")
+        sys.exit(f"{one} is not blocked")
+"""
 
+BASE = """
 stream, folder = sys.argv[1:]
 from decogs.decoder import decode, export, info, open_stream, render_view
 
 with open_stream(stream) as opened:
     frames = list(opened.frames(3))
-    picture = render_view(opened.header, frames[0].splats, "wide")
+    picture = render_view(opened.header, frames[0].splats, "cam00")
 assert picture.image.max() > 0.5, "nothing is seen"
-decode(stream, folder + "/pictures", view="cam01")
-decode(stream, folder + "/video.mp4", view="cam00")
+decode(stream, folder + "/pictures", view="cam01", undistorted=True)
 decode(stream, folder + "/frame.exr", view="cam00", frames=slice(2, 3))
-export(stream, folder + "/scene.usda", frames=slice(0, 2))
+for name in ("scene.ply", "scene.sog", "scene.glb"):
+    export(stream, f"{folder}/{name}", frames=slice(0, 1))
 assert info(stream).totals["frames"] == 8
 from decogs.decoder.commands import decode_main, export_main, info_main
 assert info_main([stream]) == 0
 from decogs.decoder.editing.commands import edit_main
 edits = "trim 1:7 crop sphere 0,0,2 0.5 transform --up Y clean --picture".split()
 assert edit_main([stream, "-o", folder + "/edited.dgs", *edits, folder + "/goes.png"]) == 0
-assert not [name for name in sys.modules if name == "torch" or name.startswith("decogs.encoder")]
+from decogs.decoder import view
+from urllib.request import urlopen
+with view(stream, browser=False) as served, urlopen(served.url) as page:
+    assert b"decogs-player" in page.read()
 """
+
+EXTRAS = """
+stream, folder = sys.argv[1:]
+from decogs.decoder import decode, export
+decode(stream, folder + "/video.mp4", view="wide")  # which has a lens
+export(stream, folder + "/scene.usda", frames=slice(0, 2))
+"""
+
+MAIN = "from decogs.decoder.commands import {0}_main; sys.exit({0}_main(sys.argv[1:]))"
 
 START_UP = """
 import sys
@@ -63,12 +80,59 @@ def run(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_the_decoder_runs_without_torch_and_encoder(small_stream, tmp_path: Path) -> None:
-    result = run(PROGRAM, str(small_stream.path), str(tmp_path))
+OUR_OWN, OF_EXTRAS = "torch,decogs.encoder", "cv2,av,pxr"
+
+
+def test_the_base_decodes_exports_edits_and_plays(small_stream, tmp_path: Path) -> None:
+    result = run(BLOCKED + BASE, f"{OUR_OWN},{OF_EXTRAS}", str(small_stream.path), str(tmp_path))
     assert result.returncode == 0, result.stderr
     assert len(list((tmp_path / "pictures").glob("cam01_*.png"))) == 8
-    for name in ("video.mp4", "frame.exr", "scene.usda", "edited.dgs", "goes.png"):
+    for name in ("frame.exr", "scene.ply", "scene.sog", "scene.glb", "edited.dgs", "goes.png"):
         assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_extras_bring_video_and_usd_without_the_encoder(small_stream, tmp_path: Path) -> None:
+    for module in OF_EXTRAS.split(","):
+        pytest.importorskip(module, reason="the extras are not installed")
+    result = run(BLOCKED + EXTRAS, OUR_OWN, str(small_stream.path), str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    for name in ("video.mp4", "scene.usda"):
+        assert (tmp_path / name).stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("command", "output", "options", "said"),
+    [
+        (
+            "decode",
+            "video.mp4",
+            ["--view", "cam00"],
+            "this needs PyAV, which is not installed: pip install 'decogs[video]'",
+        ),
+        ("export", "scene.usdc", [], "this needs OpenUSD, which is not installed: pip install 'decogs[usd]'"),
+        (
+            "decode",
+            "x",
+            ["--camera", "camera.usda"],
+            "this needs OpenUSD, which is not installed: pip install 'decogs[usd]'",
+        ),
+        (
+            "decode",
+            "around.png",
+            ["--view", "cam00", "--equirectangular"],
+            "this needs OpenCV, which is not installed: pip install 'decogs[encode]'",
+        ),
+    ],
+)
+def test_without_an_extra_a_command_says_which_one(
+    small_stream, tmp_path: Path, command: str, output: str, options: list[str], said: str
+) -> None:
+    (tmp_path / "camera.usda").write_text("#usda 1.0\n")
+    options = [str(tmp_path / "camera.usda") if option == "camera.usda" else option for option in options]
+    arguments = [str(small_stream.path), "-o", str(tmp_path / output), *options]
+    result = run(BLOCKED + MAIN.format(command), OF_EXTRAS, *arguments)
+    assert (result.returncode, result.stderr.splitlines()) == (2, [f"decogs-{command}: error: {said}"])
+    assert not (tmp_path / output).exists()
 
 
 def test_start_up_loads_nothing_heavy(small_stream) -> None:

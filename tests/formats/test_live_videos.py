@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -18,7 +19,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.formats.errors import RigError
+from decogs.formats.errors import RecordingEnded, RigError
 from decogs.formats.rigs import connections as connections_module
 from decogs.formats.rigs import dropped_in, open_live, read_frames
 from decogs.formats.rigs.feeds import DAMAGED, LACKING, OVERRUN
@@ -80,13 +81,15 @@ def read(sources: Path, count: int | None = None, pause: Callable[[int], None] =
 class Recorded:
     """The bytes of a video as a camera writes them: ``upto[k]`` of them when it has written k pictures."""
 
-    def __init__(self, container: str, count: int, lacks: tuple[int, ...] = (), **options: str) -> None:
+    def __init__(
+        self, container: str, count: int, lacks: tuple[int, ...] = (), tune: str = "zerolatency", **options: str
+    ) -> None:
         self.data, self.upto = bytearray(), [0]
         with av.open(self, "w", format=container, options=options) as video:
             stream: Any = video.add_stream("libx264", rate=FPS)
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
             stream.codec_context.gop_size = 5
-            stream.codec_context.options = {"tune": "zerolatency", "qp": "4", "sc_threshold": "0"}
+            stream.codec_context.options = {"tune": tune, "qp": "4", "sc_threshold": "0"}
             for moment in range(count):
                 frame = av.VideoFrame.from_ndarray(picture(moment), format="rgb24")
                 frame.pts = moment
@@ -139,6 +142,38 @@ def test_a_video_is_read_while_it_is_written(tmp_path: Path, suffix: str) -> Non
     assert len(seen) == 12
     for pictures, expected in zip(seen, whole, strict=True):
         assert all((each == expected).all() for each in pictures)
+
+
+def test_who_gets_to_the_end_later_gets_the_last_pictures_too(tmp_path: Path) -> None:
+    """MPEG-TS holds back the last two until the file is over, which one camera learns before the other."""
+    names = {name: f"{name}.ts" for name in ("cam00", "cam01")}
+    rig = open_live(write_sources(tmp_path, names, end=0.4, late=0.8))
+    recorded = Recorded("mpegts", 12)
+    for file in names.values():
+        (tmp_path / file).write_bytes(recorded.data)
+    later, first = (source.read(0, 13) for source in rig.sources)
+    assert [moment_of(next(later)) for _ in range(10)] == [moment_of(next(first)) for _ in range(10)]
+    with ThreadPoolExecutor() as threads:
+        rest = threads.submit(lambda: [moment_of(each) for each in ended(first)])
+        time.sleep(0.2)
+        assert [moment_of(each) for each in ended(later)] == rest.result() == [10, 11]
+    assert not dropped_in(rig, 10)
+    assert not dropped_in(rig, 11)
+
+
+def ended(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    """Up to the end of the recording."""
+    with suppress(RecordingEnded):
+        yield from pictures
+
+
+def test_what_the_decoder_holds_back_is_given_out_at_the_end(tmp_path: Path) -> None:
+    """Pictures that others are predicted from come before these: x264's own ways, with B frames."""
+    names = {name: f"{name}.mkv" for name in ("cam00", "cam01")}
+    sources = write_sources(tmp_path, names, end=0.4)
+    for file in names.values():
+        (tmp_path / file).write_bytes(Recorded("matroska", 12, tune="animation").data)
+    assert read(sources).moments == [[moment] * 2 for moment in range(12)]
 
 
 def test_a_video_beside_a_folder(tmp_path: Path) -> None:

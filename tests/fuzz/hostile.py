@@ -15,6 +15,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from random import Random
 
@@ -31,6 +32,7 @@ from decogs.codec.keyframes import keyframe_state, new_state
 from decogs.codec.lattice import default_lattice
 from decogs.codec.presentation import Presentation
 from decogs.codec.reconstruct import reconstruct
+from decogs.codec.sound import SoundTrack
 from decogs.codec.state import Attributes, State, all_rows, take_rows
 from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
 from decogs.decoder.damage import Damage
@@ -54,6 +56,8 @@ from decogs.decoder.editing import (
 )
 from decogs.decoder.following import follow_stream
 from decogs.decoder.frame import DecodedFrame
+from decogs.decoder.sound.coding import coded
+from decogs.decoder.sound.samples import heard_in
 from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
@@ -103,6 +107,7 @@ def seed_streams() -> list[bytes]:
         _stream(count=400, sh_degree=0, finished=True),
         _stream(count=0, sh_degree=0, finished=True),
         _stream(count=12, sh_degree=0, finished=True, corrected=_CORRECTED),
+        _stream(count=3, sh_degree=0, finished=True, sound=True),
     ]
 
 
@@ -125,12 +130,26 @@ def _shown_header() -> StreamHeader:
     return replace(header(0), presentation=Presentation("a title", 3, "a", placed))
 
 
-def _stream(*, count: int, sh_degree: int, finished: bool, corrected: CorrectedCameras | None = None) -> bytes:
-    file, described = io.BytesIO(), header(sh_degree, corrected)
+def _sounding_header() -> StreamHeader:
+    tracks = (SoundTrack(2, "a track", (1.0, -2.0, 3.0)), SoundTrack(1))
+    return replace(header(0), fps=25.0, sound=tracks)
+
+
+def _stream(
+    *, count: int, sh_degree: int, finished: bool, corrected: CorrectedCameras | None = None, sound: bool = False
+) -> bytes:
+    file, described = io.BytesIO(), _sounding_header() if sound else header(sh_degree, corrected)
+    tone = 0.5 * np.sin(np.arange(48_000, dtype=np.float32) / 20)
+    sounds = [
+        coded([np.tile(tone, (track.channels, 1))], track.channels, 25.0, track=number)
+        for number, track in enumerate(described.sound)
+    ]
     writer = StreamWriter(file, described.to_bytes())
     for packet in frame_packets(count, sh_degree):
         told = {"a": Correction(exposure=packet.frame - 3, yaw=900, roll=-packet.frame)}
         writer.write(packet.kind, packet.frame, write_corrections(told, described.corrected) + packet.payload)
+        for heard in (one for coming in sounds for one in next(coming)):
+            writer.write(PacketKind.SOUND, packet.frame, heard.payload())
         if packet.frame == 1:
             writer.write(PacketKind.METRICS, 1, b'{"psnr":30}')
             writer.write(99, 0, b"of a later version")
@@ -245,7 +264,7 @@ def mutated_stream(random: Random, packets: list[Packet]) -> bytes:
             following = min(packet.frame + 1, MAX_FRAME)
             chosen[at] = replace(packet, frame=random.choice((0, 1, 3, 70_000, MAX_FRAME, following)))
         elif action == 4:
-            kind = random.choice((1, 2, 3, 4, 5, 6, 7, 8, 200))
+            kind = random.choice((1, 2, 3, 4, 5, 6, 7, 8, 9, 200))
             chosen[at] = replace(packet, kind=kind, critical=random.random() < 0.5)
         else:
             chosen[at] = replace(packet, payload=mutated_payload(random, packet.payload))
@@ -398,18 +417,33 @@ class FileTarget:
         with open_stream(self.path, strict=strict, on_damage=found.append, max_memory=MAX_MEMORY) as stream:
             if _frames_read(stream.frames(), strict, found) != stream.frame_count:
                 raise Misbehaved("frames are left out")
+            if stream.header.sound:
+                _hear(heard_in(stream, range(min(stream.frame_count, _FRAMES_HEARD))))
 
     def _follow(self, data: bytes, strict: bool) -> None:
         found: list[Damage] = []
         with follow_stream(io.BytesIO(data), strict=strict, on_damage=found.append, max_memory=MAX_MEMORY) as stream:
+            sound = stream.heard() if stream.header.sound else iter(())
             _frames_read(stream.frames(), strict, found)
+            _hear(islice(sound, _FRAMES_HEARD))
+
+
+_FRAMES_HEARD = 20
+"""Of a stream that may claim thousands of a second each, which only say silence."""
+
+
+def _hear(pieces: Iterator[np.ndarray]) -> None:
+    """Samples from -1 to 1."""
+    for piece in pieces:
+        if not (np.abs(piece) <= 1).all():
+            raise Misbehaved("a stream sounds louder than it can")
 
 
 EDITS: tuple[tuple[Operation, ...], ...] = (
     (Trim(slice(2, None)), Concat((Path(),))),
     (Crop(Sphere((0.0, 0.0, 0.0), 0.2), fade=0.1), Retime((Speed(0, None, 0.5, 2.0),), reverse=True)),
     (Transform(turns=(("X", 40.0),), scale=3.0), Merge(Path()), Set(title="x")),
-    (Clean(size=0.5, seen=1), Grade(1.0, region=Box((-1.0, -1.0, -1.0), (0.1, 1.0, 1.0))), Strip(("rig",))),
+    (Clean(size=0.5, seen=1), Grade(1.0, region=Box((-1.0, -1.0, -1.0), (0.1, 1.0, 1.0))), Strip(("rig", "sound"))),
     (Cameras(rename=(("a", "b"),)), Retime(holds=((3, 4),))),
 )
 """What is done to hostile streams; other streams are the stream itself."""
@@ -460,7 +494,10 @@ def parsers() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
     ]
     return {
         "container": (try_container, seed_streams()),
-        "header": (try_header, [header(0).to_bytes(), header(1, _CORRECTED).to_bytes(), _shown_header().to_bytes()]),
+        "header": (
+            try_header,
+            [each.to_bytes() for each in (header(0), header(1, _CORRECTED), _shown_header(), _sounding_header())],
+        ),
         "payload": (try_payload, payloads),
     }
 

@@ -30,6 +30,9 @@ from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.splats import Splats
 from decogs.formats.up_direction import up_of
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from sounding_streams import with_sound
+
 CANARY = Path(__file__).parents[1] / "canary"
 POSE = {
     "width": 200,
@@ -258,6 +261,7 @@ def main() -> None:
     pictures.take("subject", 1, "cam00")
     write_stream(folder / "wide.dgs", 6000, 1, WIDE)
     ends = write_stream(folder / "long.dgs", 800, 0, LONG)
+    with_sound(folder / "long.dgs", folder / "tones.dgs")
     for frame in (0, 7, 61, 130, 299):
         pictures.take("long", frame, "cam00")
     for rig in rigs:

@@ -14,6 +14,7 @@ from .grade import Grade
 from .merge import Merge
 from .retime import Retime
 from .set import Set
+from .sound import AddSound
 from .strip import Strip
 from .transform import Transform
 from .trim import Trim
@@ -29,6 +30,7 @@ _ALL: tuple[type[Operation], ...] = (
     Merge,
     Cameras,
     Set,
+    AddSound,
     Strip,
 )
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 
 from decogs.codec.header import StreamHeader
+from decogs.codec.sound import SoundTrack
 from decogs.formats.command_line import Parser, counted
 
+from ...sound.packets import FrameSound
 from ..matching import matched
 from ..take import Frame, Take
 from .base import Opener, Operation
@@ -20,6 +23,7 @@ class Concat(Operation):
     """Appends the streams ``paths``, each a new segment with Gaussians of its own, of the same rig or another.
 
     Scenes keep their bits where lattice and SH degree are the first stream's, else they are rounded to its lattice.
+    Tracks of sound go on with those of the same number, under the first stream's titles.
     """
 
     paths: tuple[Path, ...]
@@ -58,5 +62,20 @@ def _joined(header: StreamHeader, first: Take, second: Take) -> Take:
             for number, frame in enumerate(behind, start=max(start, begins)):
                 yield replace(frame, is_key=True) if number == begins else frame
 
+    def hear(start: int, stop: int) -> Iterator[FrameSound]:
+        if start < begins:
+            yield from first.hear(start, min(stop, begins))
+        if stop > begins:
+            yield from second.hear(max(0, start - begins), stop - begins)
+
+    header = replace(header, sound=_tracks(first.header.sound, second.header.sound))
     starts = (*first.starts, *(begins + start for start in second.starts))
-    return replace(first, header=header, frame_count=whole, read=read, starts=starts)
+    return replace(first, header=header, frame_count=whole, read=read, hear=hear, starts=starts)
+
+
+def _tracks(one: tuple[SoundTrack, ...], other: tuple[SoundTrack, ...]) -> tuple[SoundTrack, ...]:
+    """Those of both, one after the other; a decoder makes stereo of a block of one channel."""
+    both = zip_longest(one, other)
+    return tuple(
+        replace(here or there, channels=max(track.channels for track in (here, there) if track)) for here, there in both
+    )

@@ -14,7 +14,9 @@ from decogs.codec.keyframes import new_state
 from decogs.codec.state import State, all_rows, join_rows, same_scene, take_rows
 from decogs.formats.command_line import Parser, counted
 
+from ...sound.packets import FrameSound
 from ..matching import matched
+from ..sound import renumbered
 from ..take import Frame, Take
 from .base import Opener, Operation
 
@@ -23,7 +25,7 @@ from .base import Opener, Operation
 class Merge(Operation):
     """Brings the Gaussians of the stream ``path`` into every frame, where that stream's transform says.
 
-    Ids are apart. The result is as long as the shorter of the two.
+    Ids are apart. Tracks of sound are played together. The result is as long as the shorter of the two.
     """
 
     path: Path
@@ -43,8 +45,13 @@ class Merge(Operation):
                 told: Corrections = {**other.corrections, **one.corrections}
                 yield replace(one, state=before[2], corrections=told)
 
+        def hear(start: int, stop: int) -> Iterator[FrameSound]:
+            others = renumbered(both.second.hear, len(take.header.sound))
+            return (one + other for one, other in zip(both.first.hear(start, stop), others(start, stop), strict=True))
+
         starts = tuple(start for start in take.starts if start < count)
-        merged = replace(both.first, header=both.header, frame_count=count, read=read, starts=starts)
+        header = replace(both.header, sound=(*take.header.sound, *both.second.header.sound))
+        merged = replace(both.first, header=header, frame_count=count, read=read, hear=hear, starts=starts)
         cost = f" ({both.cost})" if both.cost else ""
         return merged.with_note(f"merge: {self.path}, {counted(count, 'frame')}{cost}")
 

@@ -12,6 +12,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 
 from ..segments import segment_of
+from ..sound import Played, played
 from ..take import Frame, Take
 from .base import Opener, Operation
 
@@ -38,7 +39,7 @@ class Retime(Operation):
     ``speeds``: frames are left out above a speed of 1, and repeated below it; where several name a frame, the last
     counts. ``holds``: pairs of a frame and how many frames longer it stays. ``reverse``: backwards, once that is done;
     a segment at a time is in memory then. ``fps``: frames per second, None as before. Frames are those of the take that
-    comes in.
+    comes in. Sound plays at the speed of its frames, higher or lower, and backwards; frames that are held are silent.
     """
 
     speeds: tuple[Speed, ...] = ()
@@ -53,7 +54,8 @@ class Retime(Operation):
         if self == Retime():
             raise UsageError("retime: nothing is to be done; decogs-edit retime --help lists what can be")
         header = take.header if self.fps is None else replace(take.header, fps=self.fps)
-        shown = self._shown(take.frame_count)
+        plays = self._plays(take.frame_count)
+        shown = [frame for frame, _ in plays]
         starts = tuple(place for place in range(len(shown)) if _begins(take, shown, place))
         retimed = replace(
             take,
@@ -62,6 +64,12 @@ class Retime(Operation):
             read=lambda start, stop: _read(take, shown, start, stop),
             starts=starts,
         ).with_poster(lambda frame: shown.index(frame) if frame in shown else None)
+        as_before = header.fps == take.header.fps and [play for _, play in plays] == [
+            Played(frame, frame + 1) for frame in range(take.frame_count)
+        ]
+        if take.header.sound and header.fps is not None and not as_before:
+            sound = played(take, [play for _, play in plays], header.fps)
+            retimed = replace(retimed, hear=sound).with_note("retime: sound is coded anew, its pitch that of its speed")
         rate = "" if header.fps is None else f" at {header.fps:g} a second"
         return retimed.with_note(f"retime: {len(shown)} frames of {take.frame_count}{rate}")
 
@@ -94,8 +102,8 @@ class Retime(Operation):
         """Of the options as they are named."""
         return cls(tuple(options.speeds), tuple(options.holds), options.reverse, options.fps)
 
-    def _shown(self, count: int) -> Sequence[int]:
-        """The frame of the take that each new one shows."""
+    def _plays(self, count: int) -> Sequence[tuple[int, Played]]:
+        """The frame of the take that each new one shows, and what it plays; a frame that is held is silent."""
         speeds: list[tuple[float, float, int, int]] = [(1.0, 1.0, 0, count)] * count
         for speed in self.speeds:
             start, stop, _ = slice(speed.start, speed.stop).indices(count)
@@ -109,19 +117,21 @@ class Retime(Operation):
         for frame, more in longer.items():
             if not 0 <= frame < count or more < 0:
                 raise UsageError(f"retime: a hold of frame {frame} for {more} is not possible; it has 0:{count}")
-        shown: list[int] = []
+        plays: list[tuple[int, Played]] = []
         position = 0.0
         while position < count:
             frame = int(position)
             begin, end, start, stop = speeds[frame]
             times = 1 + longer.pop(frame, 0)
-            if len(shown) + times > _MOST_FRAMES:
+            if len(plays) + times > _MOST_FRAMES:
                 raise UsageError(f"retime: more than {_MOST_FRAMES} frames; hold shorter, or choose a higher speed")
-            shown += [frame] * times
             step = begin + (end - begin) * (position - start) / (stop - start)
             # Where one speed ends, the next begins with its first frame. Ten steps of a tenth are 1, not a little less.
-            position = min(round(position + step, _DIGITS), float(stop))
-        return shown[::-1] if self.reverse else shown
+            after = min(round(position + step, _DIGITS), float(stop))
+            plays.append((frame, Played(position, after)))
+            plays += [(frame, Played(after, after))] * (times - 1)
+            position = after
+        return [(frame, Played(play.end, play.begin)) for frame, play in reversed(plays)] if self.reverse else plays
 
 
 def _begins(take: Take, shown: Sequence[int], place: int) -> bool:

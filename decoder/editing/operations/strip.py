@@ -9,10 +9,10 @@ from decogs.formats.command_line import Parser
 from decogs.formats.errors import UsageError
 
 from ..cameras import renamed_corrections, with_cameras
-from ..take import Take
+from ..take import Take, silence
 from .base import Opener, Operation
 
-PARTS = ("provenance", "rig")
+PARTS = ("provenance", "rig", "sound")
 _ONLY_CAMERA = "view"
 
 
@@ -20,12 +20,13 @@ _ONLY_CAMERA = "view"
 class Strip(Operation):
     """Leaves out ``parts``: "provenance" is the encoder's settings, the source and the writer; the licence stays.
 
-    "rig" is all cameras but the one to begin with, since a stream has at least one; that is called "view".
+    "rig" is all cameras but the one to begin with, since a stream has at least one; that is called "view". "sound" is
+    all tracks.
     """
 
     parts: tuple[str, ...]
     name = "strip"
-    summary = "leave out provenance (settings, source, writer), or the rig's cameras"
+    summary = "leave out provenance (settings, source, writer), the rig's cameras, or sound"
 
     def edit(self, take: Take, open_other: Opener) -> Take:
         """The same frames, less told of them. Raises UsageError for an unknown part."""
@@ -36,6 +37,8 @@ class Strip(Operation):
             take = replace(take, header=replace(take.header, settings={}, source_text="", writer=""))
         if "rig" in self.parts:
             take = _with_one_camera(take)
+        if "sound" in self.parts:
+            take = replace(take, header=replace(take.header, sound=()), hear=silence)
         return take.with_note(f"strip: {', '.join(self.parts)}")
 
     @staticmethod

@@ -9,6 +9,7 @@ from decogs.formats.command_line import Parser
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames, frame_range, frame_slice
 
+from ..sound import from_frame
 from ..take import Take
 from .base import Opener, Operation
 
@@ -18,7 +19,7 @@ class Trim(Operation):
     """Keeps ``frames``, a slice by Python's rules or a range. Every scene keeps its bits, and ids stay.
 
     The first frame becomes a keyframe; packets that follow are taken as they are, but for keyframes that referred to a
-    first one which is gone.
+    first one which is gone. Sound is cut to the sample, and keeps its bits.
     """
 
     frames: Frames
@@ -39,6 +40,7 @@ class Trim(Operation):
             header=header,
             frame_count=stop - start,
             read=lambda a, b: take.read(start + a, start + b),
+            hear=from_frame(take, start),
             starts=(0, *(key - start for key in take.starts if start < key < stop)),
         )
         trimmed = trimmed.with_poster(lambda frame: frame - start if start <= frame < stop else None)

@@ -14,6 +14,7 @@ Renderer& renderer_of(void* handle) { return *static_cast<Renderer*>(handle); }
 IncrementalView& view_of(void* handle) { return *static_cast<IncrementalView*>(handle); }
 }  // namespace
 
+#pragma GCC visibility push(default)
 extern "C" {
 
 // Sizes of the structs of this interface, in the order in which Python's loader states them, and a 0 at the end.
@@ -63,3 +64,4 @@ int decogs_incremental_redraw(void* handle, void* view, const Planes* planes, co
     return status_of([&] { *redrawn = view_of(view).redraw(renderer_of(handle).pool, *planes, *to); });
 }
 }
+#pragma GCC visibility pop

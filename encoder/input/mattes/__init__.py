@@ -1,6 +1,20 @@
 """What of each picture is subject: mattes that come with a rig, clean plates, a key; and what teaches nothing."""
 
-from .choice import MatteChoice
-from .mattes import Cut, Mattes, open_mattes
+from typing import TYPE_CHECKING
 
-__all__ = ["Cut", "MatteChoice", "Mattes", "open_mattes"]
+from decogs.formats.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from .choice import MatteChoice as MatteChoice
+    from .mattes import Cut as Cut
+    from .mattes import Mattes as Mattes
+    from .mattes import open_mattes as open_mattes
+
+_HOMES = {
+    "MatteChoice": "choice",
+    "Cut": "mattes",
+    "Mattes": "mattes",
+    "open_mattes": "mattes",
+}
+__all__ = list(_HOMES)
+__getattr__ = lazy_names(__name__, _HOMES)

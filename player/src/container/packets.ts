@@ -4,7 +4,7 @@ import { crc32 } from "../kernel/blocks";
 import type { FrameKind } from "../scene";
 import { refuse } from "./errors";
 
-export const KIND = { HEADER: 1, KEY: 2, DELTA: 3, SKIP: 4, INDEX: 5, END: 6, METRICS: 7 } as const;
+export const KIND = { HEADER: 1, KEY: 2, DELTA: 3, SKIP: 4, INDEX: 5, END: 6, METRICS: 7, SOUND: 8 } as const;
 
 export const PROLOGUE_BYTES = 16;
 export const PACKET_HEADER_BYTES = 20;
@@ -84,7 +84,7 @@ export function checkSync(head: Uint8Array): void {
 }
 
 function checkCritical(kind: number, critical: number): void {
-  const known = kind >= KIND.HEADER && kind <= KIND.METRICS;
+  const known = kind >= KIND.HEADER && kind <= KIND.SOUND;
   if (!known && critical) refuse("unknown-critical", `packets of kind ${kind} are not known and must not be ignored`);
   if (known && critical !== Number(kind <= KIND.SKIP)) refuse("reserved-bits", "a packet's critical bit is wrong");
 }

@@ -54,6 +54,7 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
       player.nextCamera(key === "[" ? -1 : 1);
     },
   },
+  { keys: ["m"], shown: "M", text: "sound on or off", act: (player) => { player.muted = !player.muted; } },
   { keys: ["r"], shown: "R", text: "back to the camera", act: (player) => { player.backToCamera(); } },
   {
     keys: ["-", "+", "="],
@@ -65,7 +66,7 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     },
   },
   { keys: ["l"], shown: "L", text: "loop", act: (player) => { player.loop = !player.loop; } },
-  { keys: ["m"], shown: "M", text: "mark where a loop begins, where it ends, and end it", act: (_, panels) => { panels.mark(); } },
+  { keys: ["x"], shown: "X", text: "mark where a loop begins, where it ends, and end it", act: (_, panels) => { panels.mark(); } },
   {
     keys: ["c"],
     shown: "C",

@@ -54,6 +54,7 @@ export function markup(): string {
     <button class="play" type="button" aria-label="Play">${icon("play")}</button>
     <span class="time" aria-hidden="true"><span class="now-at"></span><span class="of"></span></span>
     <span class="space"></span>
+    <span class="sound" role="group" aria-label="Sound" hidden></span>
     <span class="cameras" role="group" aria-label="Camera">
       <button type="button" name="previous" aria-label="Camera before">${icon("previous")}</button>
       <select name="camera" aria-label="Camera"></select>

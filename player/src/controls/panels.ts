@@ -11,6 +11,7 @@ import style from "./style.css";
 import { Statistics } from "./statistics";
 import { Timeline } from "./timeline";
 import { timeText } from "./time_text";
+import { SoundControls } from "../sound/controls";
 
 const IDLE_MS = 2600;
 const NOTICE_MS = 2600;
@@ -31,6 +32,7 @@ export class Panels {
   private readonly timeline: Timeline;
   private readonly statistics: Statistics;
   private readonly comparison: Comparison;
+  private readonly sound: SoundControls;
   private readonly closers: readonly HTMLElement[];
   private refreshing = false;
   private camerasOf: unknown = null;
@@ -59,6 +61,7 @@ export class Panels {
     this.timeline = new Timeline(player, this.part(".timeline"));
     this.statistics = new Statistics(player, this.part(".figures"));
     this.comparison = new Comparison(player, this.part(".recording"), this.part(".divider"));
+    this.sound = new SoundControls(player, this.part(".sound"));
     this.closers = [this.part(".menu"), this.part(".help")];
     this.listen();
   }
@@ -170,7 +173,7 @@ export class Panels {
       this.hint("No loop");
     } else if (this.marked === null) {
       this.marked = frame;
-      this.hint(`Loop from frame ${frame}; M again where it ends`);
+      this.hint(`Loop from frame ${frame}; X again where it ends`);
     } else {
       player.range = [Math.min(frame, this.marked), Math.max(frame, this.marked) + 1];
       this.marked = null;
@@ -314,6 +317,7 @@ export class Panels {
     this.field("menu").setAttribute("aria-expanded", String(!this.part(".menu").hidden));
     this.updateLegend();
     this.timeline.refresh();
+    this.sound.refresh();
   }
 
   private updateCameras(): void {

@@ -21,6 +21,7 @@ export type PlayerEvent =
   | "error"
   | "progress"
   | "ratechange"
+  | "volumechange"
   /** A picture of another camera of the rig, or of none: `player.camera`. */
   | "camerachange"
   /** Somebody looks at the scene in a headset, and looks no longer. */

@@ -5,7 +5,7 @@
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
  * quality (a share of the pixels, and fewer Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
- * gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
+ * muted (without sound, to begin with), gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
 import { startRecorded } from "../draw/recorded";
@@ -40,7 +40,7 @@ interface Left {
 const INSIDE = Symbol.for("decogs.inside");
 
 export class DecogsPlayer extends HTMLElement implements PlayerApi {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality"];
+  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted"];
 
   readonly #root = this.attachShadow({ mode: "open" });
   readonly #poster = document.createElement("img");
@@ -142,6 +142,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (name === "recorded") void this.#chooseRecorded();
     if (name === "background") this.#pictures?.layBehind(value);
     if (name === "orbit") this.#sway();
+    if (name === "muted") this.muted = value !== null;
     if (name === "limits") this.#limit();
     if (name === "quality") this.#chooseQuality();
     if (name === "range") this.#session.playback.range = spanOf(value);
@@ -199,6 +200,22 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
   set recorded(value: boolean) {
     this.toggleAttribute("recorded", value);
+  }
+
+  get volume(): number {
+    return this.#session.sound.volume;
+  }
+  set volume(value: number) {
+    if (!(value >= 0 && value <= 1)) throw new RangeError("volume must be from 0 to 1");
+    this.#session.sound.volume = value;
+    this.#tell("volumechange");
+  }
+  get muted(): boolean {
+    return this.#session.sound.muted;
+  }
+  set muted(value: boolean) {
+    this.#session.sound.muted = value;
+    this.#tell("volumechange");
   }
 
   get header(): StreamHeader | null {
@@ -440,6 +457,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     const stage = this.#pictures?.stage;
     if (stage === undefined || this.#headset.entered) return;
     this.#session.advance(seconds);
+    this.#session.sound.listen(stage.navigation.pose);
     if (stage.step(now, seconds, playback.playing)) this.#poster.hidden = true;
     this.#pictures?.judge();
     this.#late.panels?.tick(now);

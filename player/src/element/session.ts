@@ -7,6 +7,7 @@ import { Connection, FrameColumns } from "./connection";
 import type { PlayerEvent } from "./events";
 import type { Span } from "../player_api";
 import { DEFAULT_FPS, Playback } from "./playback";
+import { LateSound } from "../sound/late";
 
 const FOLLOW_MS = 1000;
 /** After so long a frame that was asked for is late. */
@@ -59,6 +60,14 @@ export class Session {
   /** Where the next stream begins, as with <video>. */
   start: Start | null = null;
   readonly playback = new Playback();
+  readonly sound = new LateSound(
+    (message) => {
+      this.send(message);
+    },
+    (text) => {
+      this.notice(text);
+    },
+  );
   #connection: Connection | null = null;
   #pictures: Drawing | null = null;
   #follow = false;
@@ -114,6 +123,7 @@ export class Session {
     this.#connection = null;
     for (const given of this.#stillAsked.splice(0)) given(null);
     for (const { refused } of this.#plyAsked.splice(0)) refused(new Error("the stream was closed"));
+    this.sound.close();
     if (!playing) this.#refuse("AbortError", "another stream was opened, or the player has left the page");
     const emptied = this.header !== null;
     this.header = this.info = this.error = this.#notice = this.#trouble = null;
@@ -148,8 +158,11 @@ export class Session {
     const { playback } = this;
     const wasPlaying = playback.playing;
     if (this.waiting && this.#enough()) this.#goOn();
-    // Time begins with the first picture.
-    if (!this.waiting && this.info !== null) playback.advance(seconds, this.info.frame);
+    // Time begins with the first picture; where there is sound, it is that of the sound.
+    const passed = this.sound.elapsed() ?? seconds;
+    if (!this.waiting && this.info !== null) playback.advance(passed, this.info.frame);
+    if (playback.playing && !this.waiting && this.info !== null && !this.seeking) this.sound.keep(playback);
+    else this.sound.rest();
     const shown = this.#standsIn ?? playback.due;
     if (playback.frameCount > 0 && shown !== this.#requested) this.#request(shown);
     if (!wasPlaying || !playback.ended) return;
@@ -165,6 +178,7 @@ export class Session {
       if (this.#standIn >= 0 || playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
       playback.playing = true;
       playback.ended = false;
+      this.sound.begin();
       this.host.tell("play");
       this.host.wake();
       if (this.#begun) this.host.tell("playing");
@@ -196,6 +210,7 @@ export class Session {
     this.#refuse("AbortError", "playing was ended before it began");
     if (!this.playback.playing) return;
     this.playback.playing = false;
+    this.sound.rest();
     this.host.tell("pause");
   }
 
@@ -263,6 +278,9 @@ export class Session {
           else given(message.bytes);
         }
         break;
+      case "sound":
+        this.sound.receive(message);
+        break;
       case "notYet":
         this.#requested = -1;
         clearTimeout(this.#lateTimer);
@@ -283,6 +301,7 @@ export class Session {
     this.playback.fps = header.fps ?? DEFAULT_FPS;
     this.#pictures!.begin(layout, header);
     this.host.opened(header);
+    this.sound.open(header);
     stage.begin();
     const { start } = this;
     this.start = null;

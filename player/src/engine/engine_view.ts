@@ -1,5 +1,6 @@
 /** A camera of an engine, in OpenGL's conventions, as what draws takes it. */
 import type { PinholeCamera } from "../geometry/camera";
+import { poseOf, type Pose } from "../geometry/poses";
 import { intoScene, type Similarity } from "../geometry/similarity";
 import { cross, dot, type Matrix, type Vector } from "../geometry/vectors";
 
@@ -16,6 +17,8 @@ export interface EngineView {
 
 export interface EngineCamera {
   readonly camera: PinholeCamera;
+  /** Where it stands in the stream's world. */
+  readonly pose: Pose;
   /** Depth of a pixel at distance z in the scene: the first plus the second divided by z. */
   readonly depth: readonly [number, number];
 }
@@ -37,5 +40,5 @@ export function engineCamera({ modelView: m, projection: p }: EngineView, width:
     near: 0, // the engine's own near plane cuts
     worldToCamera,
   };
-  return { camera: intoScene(camera, transform), depth: [-p[10], p[14] / (scale * (transform?.scale ?? 1))] };
+  return { camera: intoScene(camera, transform), pose: poseOf(camera), depth: [-p[10], p[14] / (scale * (transform?.scale ?? 1))] };
 }

@@ -4,6 +4,7 @@
  */
 import { SplatBatches } from "../draw/splat_batches";
 import type { Drawing } from "../element/session";
+import type { Pose } from "../geometry/poses";
 import type { Similarity } from "../geometry/similarity";
 import type { DepthRow, DrawOrder, SceneUpdate, TextureLayout } from "../messages";
 import type { StreamHeader } from "../scene";
@@ -55,6 +56,7 @@ export class SceneDrawing implements Drawing {
   constructor(
     private readonly askOrder: (depth: DepthRow, serial: number) => void,
     private readonly resend: () => void,
+    private readonly seenFrom: (pose: Pose) => void,
   ) {}
 
   begin(layout: TextureLayout, header: StreamHeader): void {
@@ -74,7 +76,8 @@ export class SceneDrawing implements Drawing {
     const [, , width, height] = gl.getParameter(gl.VIEWPORT) as Int32Array;
     const found = engineCamera(view, width, height, this.#transform);
     if (found === null) return false;
-    const { camera, depth } = found;
+    const { camera, depth, pose } = found;
+    this.seenFrom(pose);
     this.#sortFor(camera.worldToCamera[2] as DepthRow);
     const batches = this.#batches;
     if (batches === null || !this.#ordered) return false;

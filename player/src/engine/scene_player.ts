@@ -33,6 +33,9 @@ export class ScenePlayer extends EventTarget {
       () => {
         this.#session.send({ type: "resend" });
       },
+      (pose) => {
+        this.#session.sound.listen(pose);
+      },
     );
     const nothing = (): void => undefined;
     this.#session = new Session({
@@ -113,6 +116,23 @@ export class ScenePlayer extends EventTarget {
     if (!(rate > 0 && rate <= 16)) throw new RangeError("playbackRate must be above 0 and at most 16");
     this.#session.playback.rate = rate;
     this.#tell("ratechange");
+  }
+
+  /** Of a stream that has sound, from 0 to 1. */
+  get volume(): number {
+    return this.#session.sound.volume;
+  }
+  set volume(value: number) {
+    if (!(value >= 0 && value <= 1)) throw new RangeError("volume must be from 0 to 1");
+    this.#session.sound.volume = value;
+    this.#tell("volumechange");
+  }
+  get muted(): boolean {
+    return this.#session.sound.muted;
+  }
+  set muted(value: boolean) {
+    this.#session.sound.muted = value;
+    this.#tell("volumechange");
   }
 
   /** Resolves once playing has begun; rejects with what is wrong. After an error it tries again. */

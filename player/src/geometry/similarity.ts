@@ -1,7 +1,7 @@
 /** A turn, a scale and a shift: what takes a scene as it is stored to the world that it is shown in (SPEC section 4, "Presentation"). */
 import type { RigCamera, StreamHeader } from "../scene";
 import type { PinholeCamera } from "./camera";
-import { applied, dot, minus, product, times, transposed, type Matrix, type Vector } from "./vectors";
+import { applied, dot, minus, plus, product, times, transposed, type Matrix, type Vector } from "./vectors";
 
 /** x becomes `scale` `rotation` x + `shift`. */
 export interface Similarity {
@@ -13,11 +13,16 @@ export interface Similarity {
 type Rows = readonly (readonly number[])[];
 type Row = readonly [number, number, number, number];
 
-/** The header with its cameras where its transform takes them; the very object where it has none. */
+/** The header with its cameras and sounds where its transform takes them; the very object where it has none. */
 export function inItsWorld(header: StreamHeader): StreamHeader {
   const { transform } = header.presentation;
   if (transform === null) return header;
-  return { ...header, cameras: header.cameras.map((camera) => transformed(camera, transform)) };
+  const sound = header.sound.map((track) => ({ ...track, position: track.position && moved(track.position, transform) }));
+  return { ...header, cameras: header.cameras.map((camera) => transformed(camera, transform)), sound };
+}
+
+function moved(point: Vector, { rotation, scale, shift }: Similarity): Vector {
+  return plus(times(applied(rotation, point), scale), shift);
 }
 
 /** The camera shows of the transformed scene what it showed of the scene. */

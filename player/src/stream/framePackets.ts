@@ -3,7 +3,6 @@
 import { StreamError, refuse } from "../container/errors";
 import type { Limits } from "../container/limits";
 import {
-  KIND,
   PACKET_HEADER_BYTES,
   PACKET_OVERHEAD,
   checkPlace,
@@ -16,8 +15,8 @@ import type { FramePacket } from "../state/decoder";
 import type { FrameTable } from "./frameTable";
 import type { ByteSource } from "./sources";
 
-/** Told of each METRICS packet behind the frame's own. */
-export type OnMetrics = (header: PacketHeader, payload: Uint8Array) => void;
+/** Told of each packet behind the frame's own. */
+export type OnBeside = (header: PacketHeader, payload: Uint8Array) => void;
 
 /** Raises StreamError, located: "index-mismatch" when another packet lies there. */
 export async function readFramePacket(
@@ -25,7 +24,7 @@ export async function readFramePacket(
   table: FrameTable,
   frame: number,
   limits: Limits,
-  onMetrics: OnMetrics,
+  onBeside: OnBeside,
   signal?: AbortSignal,
 ): Promise<FramePacket> {
   const offset = table.offset(frame);
@@ -37,7 +36,7 @@ export async function readFramePacket(
     if (found === null || found !== kind || header.frame !== frame) {
       refuse("index-mismatch", `the index says that frame ${frame} lies elsewhere`);
     }
-    readMetrics(data.subarray(PACKET_OVERHEAD + header.length), limits, onMetrics);
+    readBeside(data.subarray(PACKET_OVERHEAD + header.length), limits, onBeside);
     return { kind: found, frame, payload };
   } catch (error) {
     throw error instanceof StreamError ? error.at(null, offset) : error;
@@ -51,16 +50,17 @@ function readPacket(data: Uint8Array, limits: Limits): { header: PacketHeader; p
   return { header, payload: readPayload(data, header.length) };
 }
 
-/** Reads the METRICS packets behind a frame's own, for which the index has no entry; what is wrong with them costs nothing. */
-export async function findMetrics(
+/** Reads the packets behind a frame's own, for which the index has no entry; what is wrong with them costs nothing. */
+export async function findBeside(
   source: ByteSource,
   table: FrameTable,
   frame: number,
   limits: Limits,
-  onMetrics: OnMetrics,
+  onBeside: OnBeside,
 ): Promise<void> {
   const offset = table.offset(frame);
-  const { bytes } = table.entries[frame];
+  const next = frame + 1 < table.length ? table.offset(frame + 1) : -1;
+  const bytes = next >= 0 ? next - offset : table.entries[frame].bytes;
   const head = await source.read(offset, PACKET_HEADER_BYTES);
   if (head.length < PACKET_HEADER_BYTES) return;
   let own: number;
@@ -70,15 +70,15 @@ export async function findMetrics(
     if (error instanceof StreamError) return; // the frame will say so itself
     throw error;
   }
-  if (own < bytes) readMetrics(await source.read(offset + own, bytes - own), limits, onMetrics);
+  if (own < bytes) readBeside(await source.read(offset + own, bytes - own), limits, onBeside);
 }
 
 /** What is wrong in packets that hold no frame costs none. */
-function readMetrics(data: Uint8Array, limits: Limits, onMetrics: OnMetrics): void {
+function readBeside(data: Uint8Array, limits: Limits, onBeside: OnBeside): void {
   try {
     for (let rest = data; rest.length > 0; ) {
       const { header, payload } = readPacket(rest, limits);
-      if (header.kind === KIND.METRICS) onMetrics(header, payload);
+      onBeside(header, payload);
       rest = rest.subarray(PACKET_OVERHEAD + header.length);
     }
   } catch (error) {

@@ -3,14 +3,15 @@
 import { StreamError, isDamage, type Reason } from "../container/errors";
 import { DEFAULT_LIMITS, type Limits } from "../container/limits";
 import { startZstd } from "../entropy/zstd";
-import type { PacketHeader } from "../container/packets";
-import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, Still, StreamHeader } from "../scene";
+import { KIND, type PacketHeader } from "../container/packets";
+import { readSoundPacket } from "../sound/packets";
+import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, SoundPacket, Still, StreamHeader } from "../scene";
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
 import { BlobFeed } from "./blob";
 import { CachedSource } from "./cache";
 import { Ages } from "./ages";
 import { Changes } from "./changes";
-import { findMetrics, leadsTo, readFramePacket } from "./framePackets";
+import { findBeside, leadsTo, readFramePacket } from "./framePackets";
 import { FrameTable } from "./frameTable";
 import { HttpFeed } from "./http";
 import { readMetricsPayload } from "./metrics";
@@ -239,8 +240,23 @@ class OpenStream implements SceneStream {
       }
       if (this.closed || turn !== this.aheadTurn) return; // what was read ahead may be given up
       this.metricsSought.add(frame);
-      await findMetrics(this.source, table, frame, this.limits, this.onMetrics);
+      await findBeside(this.source, table, frame, this.limits, this.onMetrics);
     }
+  }
+
+  async sound(from: number, to: number): Promise<SoundFrame[]> {
+    const { table } = this;
+    const found: SoundFrame[] = [];
+    for (let frame = from; frame < Math.min(to, table.length) && !this.closed; frame++) {
+      if (table.offset(frame) < 0) continue; // lost
+      const packets: SoundPacket[] = [];
+      await findBeside(this.source, table, frame, this.limits, ({ kind, frame: of }, payload) => {
+        const packet = kind === KIND.SOUND && of === frame ? readSoundPacket(payload, this.header.sound.length) : null;
+        if (packet !== null) packets.push(packet);
+      });
+      found.push({ frame, packets });
+    }
+    return found;
   }
 
   refresh(): Promise<boolean> {
@@ -413,7 +429,7 @@ class OpenStream implements SceneStream {
   }
 
   private readonly onMetrics = (header: PacketHeader, payload: Uint8Array): void => {
-    const metrics = readMetricsPayload(payload);
+    const metrics = header.kind === KIND.METRICS ? readMetricsPayload(payload) : null;
     if (metrics !== null) this.metrics.set(header.frame, metrics);
   };
 

@@ -86,6 +86,9 @@ export class StreamWorker {
       case "ply":
         void this.givePly();
         return;
+      case "sound":
+        void this.giveSound(message.from, message.to, message.request);
+        return;
       case "close":
         this.abort?.abort();
         this.stream?.close();
@@ -152,6 +155,15 @@ export class StreamWorker {
     try {
       await stream.prefetch(from);
       this.tellProgress();
+    } catch {
+      // The frame itself will say what is wrong, when it is due.
+    }
+  }
+
+  private async giveSound(from: number, to: number, request: number): Promise<void> {
+    try {
+      const frames = (await this.stream?.sound(from, to)) ?? [];
+      this.send({ type: "sound", request, frames });
     } catch {
       // The frame itself will say what is wrong, when it is due.
     }

@@ -102,17 +102,17 @@ test("a lower quality draws fewer pixels and fewer Gaussians, those that cover l
   await page.context().close();
 });
 
-test("M marks a loop, whichever end comes first", async () => {
+test("X marks a loop, whichever end comes first", async () => {
   const page = await browser.opened("long", { width: 640, height: 400 });
   await ready(page);
   await until(page, "player.shadowRoot.querySelector('.bar') !== null");
   const range = () => page.evaluate(() => document.querySelector("decogs-player").range);
   await show(page, 8);
-  await page.keyboard.press("m");
+  await page.keyboard.press("x");
   await show(page, 3);
-  await page.keyboard.press("m");
+  await page.keyboard.press("x");
   assert.deepEqual(await range(), [3, 9]);
-  await page.keyboard.press("m");
+  await page.keyboard.press("x");
   assert.equal(await range(), null);
   assert.deepEqual(page.complaints, []);
   await page.context().close();

@@ -13,6 +13,7 @@ import pytest
 
 from decogs.encoder.analysis.analyse import Analysis, analyse
 from decogs.encoder.analysis.rig_check import ROUGH, WRONG
+from decogs.encoder.analysis.stage_check import RoomCheck, StageCheck
 from decogs.formats.cameras import camera_centre
 from stages import scenes
 from stages.make import write_stage
@@ -71,7 +72,7 @@ def test_the_backdrop_tells_the_gains_of_cameras(made: Callable[[str], Path]) ->
 
 def test_a_stage_is_told_as_it_is(grey: Analysis, made: Callable[[str], Path]) -> None:
     stage = grey.stage
-    assert stage is not None
+    assert isinstance(stage, StageCheck)
     assert np.ptp(stage.colour) <= 4, "grey"
     assert stage.key is None
     heights = [camera_centre(camera)[2] for camera in VIEWS]
@@ -86,12 +87,28 @@ def test_a_stage_is_told_as_it_is(grey: Analysis, made: Callable[[str], Path]) -
     assert 0.3 < stage.shadow < 0.8
 
 
+def test_a_room_with_plain_walls_is_told_as_it_is(made: Callable[[str], Path], grey: Analysis) -> None:
+    analysis = analyse(made("floor"))
+    room = analysis.stage
+    assert isinstance(room, RoomCheck)
+    heights = [camera_centre(camera)[2] for camera in VIEWS]
+    assert room.floor == pytest.approx(np.median(heights), abs=0.08)  # a pixel has 8 cm there
+    # Light falls off as much on walls a tenth farther out.
+    assert room.wall == pytest.approx(scenes.ROOMS[scenes.cyclorama]["wall_radius"], rel=0.1)
+    assert 0.3 < room.plain < 0.5
+    assert isinstance(grey.stage, StageCheck)
+    assert (room.gap, room.gap_cameras) == (pytest.approx(grey.stage.gap, abs=1), grey.stage.gap_cameras)
+    written = analysis.to_json()
+    assert written["stage"] is None
+    assert written["room"]["floor"] == pytest.approx(room.floor, rel=1e-3)
+
+
 @pytest.mark.parametrize(("name", "is_clean"), [("green", True), ("worn", False)])
 def test_a_key_is_clean_unless_the_screen_s_colour_is_worn(
     made: Callable[[str], Path], name: str, is_clean: bool
 ) -> None:
     stage = analyse(made(name)).stage
-    assert stage is not None
+    assert isinstance(stage, StageCheck)
     assert stage.key is not None
     assert stage.key.is_clean == is_clean
     assert (": clean" in "".join(stage.table())) == is_clean

@@ -20,6 +20,7 @@ Trainer& trainer_of(void* handle) { return *static_cast<Trainer*>(handle); }
 FixedView& view_of(void* handle) { return *static_cast<FixedView*>(handle); }
 }  // namespace
 
+#pragma GCC visibility push(default)
 extern "C" {
 
 // Sizes of the structs of this interface, in the order in which Python's loader states them, and a 0 at the end.
@@ -111,3 +112,4 @@ void decogs_centres(void* handle, int64_t count, float* centres, float* depths) 
     }
 }
 }
+#pragma GCC visibility pop

@@ -8,6 +8,7 @@ Cache& cache_of(void* handle) { return *static_cast<Cache*>(handle); }
 
 }  // namespace
 
+#pragma GCC visibility push(default)
 extern "C" {
 
 // Sizes of the structs of this interface, in the order in which Python's loader states them, and a 0 at the end.
@@ -54,3 +55,4 @@ int decogs_cache_step(void* handle, const AdamStep* adam, float rate, const Trai
     return status_of([&] { cache_of(handle).step(*adam, rate, *rows, *head); });
 }
 }
+#pragma GCC visibility pop

@@ -1,0 +1,44 @@
+"""Sound of a stream that still grows: what is heard in frames as these are over."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+
+from decogs.codec.sound import SoundPacket, SoundTrack
+from decogs.formats.splats import FloatArray
+
+from .packets import FrameSound
+from .samples import heard, mixed
+
+
+class ComingSound(Iterator[FloatArray]):
+    """Stereo samples (2, N) of each frame from ``first`` on, all tracks together.
+
+    Ends where nothing more is known, and goes on when it is asked again later: a frame's sound is known when the next
+    one has come. ``known`` says of how many frames it is.
+    """
+
+    def __init__(self, tracks: tuple[SoundTrack, ...], fps: float, first: int, known: Callable[[], int]) -> None:
+        self._packets: deque[tuple[int, SoundPacket]] = deque()
+        self._pieces = heard(self._sounds(), tracks, fps)
+        self._first, self._known, self._passed = first, known, 0
+
+    def take(self, frame: int, packet: SoundPacket) -> None:
+        """A packet that came, of this frame."""
+        self._packets.append((frame, packet))
+
+    def __next__(self) -> FloatArray:
+        while self._passed < self._known():
+            voices = next(self._pieces)
+            if self._passed > self._first:
+                return mixed(voices)
+        raise StopIteration
+
+    def _sounds(self) -> Iterator[FrameSound]:
+        while True:
+            own = []
+            while self._packets and self._packets[0][0] <= self._passed:
+                own.append(self._packets.popleft()[1])
+            self._passed += 1
+            yield tuple(own)

@@ -1,0 +1,40 @@
+"""The SOUND packets behind the packet of a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from decogs.codec.sound import SoundPacket, SoundTrack, read_sound
+from decogs.formats.container import FRAME_KINDS, PacketKind, PacketReader
+from decogs.formats.errors import StreamError
+
+FrameSound = tuple[SoundPacket, ...]
+"""The packets of one frame, in the order of the stream."""
+
+
+def sound_behind(
+    frame: int,
+    reader: PacketReader,
+    end: int | None,
+    tracks: Sequence[SoundTrack],
+    pass_over: Callable[[StreamError], None],
+) -> FrameSound:
+    """The sound of ``frame`` that ``reader``, which stands behind its packet, comes to before the offset ``end``.
+
+    ``end``: where the next frame's packet lies, None behind the last. ``pass_over`` is called with what is wrong with a
+    packet; its sound is not there then.
+    """
+    found = []
+    try:
+        while end is None or reader.offset < end:
+            packet = reader.next()
+            if packet is None or packet.kind in FRAME_KINDS:
+                break
+            if packet.kind == PacketKind.SOUND and packet.frame == frame:
+                try:
+                    found.append(read_sound(packet, tracks))
+                except StreamError as error:
+                    pass_over(error)
+    except StreamError as error:
+        pass_over(error)
+    return tuple(found)

@@ -1,0 +1,103 @@
+"""What is heard: the tracks of a stream as samples, a piece for each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from decogs.codec.header import StreamHeader
+from decogs.codec.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
+from decogs.formats.splats import FloatArray
+
+from .packets import FrameSound
+
+if TYPE_CHECKING:
+    from decogs.formats.opus import OpusDecoder
+
+
+class HasSound(Protocol):
+    """A stream, as far as its sound goes."""
+
+    @property
+    def header(self) -> StreamHeader:
+        """With at least one track."""
+        ...
+
+    def sounds(self, start: int, stop: int) -> Iterator[FrameSound]:
+        """The packets of each frame from one up to another."""
+        ...
+
+
+def frames_before(fps: float) -> int:
+    """How many frames before a place have to be read for what is heard there."""
+    return int(np.ceil((PRE_ROLL + BLOCK) * fps / RATE))
+
+
+def heard_in(stream: HasSound, frames: range) -> Iterator[FloatArray]:
+    """What is heard in these frames of a stream with sound, all tracks together: stereo (2, N), a piece a frame."""
+    header = stream.header
+    assert header.fps is not None
+    first = max(0, frames.start - frames_before(header.fps))
+    pieces = heard(stream.sounds(first, frames.stop), header.sound, header.fps, first)
+    return (mixed(voices) for voices in islice(pieces, frames.start - first, None))
+
+
+def heard(
+    sounds: Iterable[FrameSound], tracks: Sequence[SoundTrack], fps: float, first: int = 0
+) -> Iterator[list[FloatArray]]:
+    """The samples (channels, N) of each track, for each frame from ``first`` on; silence where there is no sound."""
+    voices = [_Voice(track.channels) for track in tracks]
+    for frame, packets in enumerate(sounds, start=first):
+        begin, end = frame_start(frame, fps), frame_start(frame + 1, fps)
+        for packet in packets:
+            voices[packet.track].take(packet, begin, end)
+        yield [voice.between(begin, end) for voice in voices]
+
+
+def mixed(voices: Sequence[FloatArray]) -> FloatArray:
+    """Tracks of one piece together, stereo (2, N), not above full level."""
+    sides = [np.broadcast_to(voice, (2, voice.shape[1])) for voice in voices]
+    total: FloatArray = np.sum(sides, axis=0, dtype=np.float32)
+    return np.clip(total, -1, 1)
+
+
+class _Voice:
+    """One track while it is decoded; ``_tail`` is what lies behind the last frame that was heard."""
+
+    def __init__(self, channels: int) -> None:
+        self._channels = channels
+        self._decoder: OpusDecoder | None = None
+        self._at = 0
+        self._tail = np.zeros((channels, 0), np.float32)
+
+    def take(self, packet: SoundPacket, begin: int, end: int) -> None:
+        """Decodes a packet of the frame with these samples."""
+        from decogs.formats.opus import OpusDecoder
+
+        at = begin + packet.offset
+        if self._decoder is None or abs(at - self._at) > CONTINUES:
+            self._decoder, self._at = OpusDecoder(self._channels), at
+            self._tail = self._tail[:, :0]
+        for block in packet.blocks:
+            if self._at >= end:
+                break
+            samples = self._decoder.decode(block)
+            passed = max(0, begin - self._at)
+            if passed < BLOCK:
+                self._put(samples[:, passed:], self._at + passed - begin)
+            self._at += BLOCK
+
+    def _put(self, samples: FloatArray, place: int) -> None:
+        """Samples that are heard from ``place`` on, counted from the frame's start."""
+        before = self._tail[:, :place]
+        silence = np.zeros((self._channels, place - before.shape[1]), np.float32)
+        self._tail = np.concatenate([before, silence, samples], axis=1)
+
+    def between(self, begin: int, end: int) -> FloatArray:
+        """What is heard in the frame, which then is over."""
+        count = end - begin
+        there, self._tail = self._tail[:, :count], self._tail[:, count:]
+        return np.pad(there, ((0, 0), (0, count - there.shape[1])))

@@ -1,0 +1,113 @@
+"""Where a stream's sound comes from: a camera of the rig, in step with its pictures, or a file of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from decogs.codec.sound import SLOWEST, SoundTrack
+from decogs.decoder.sound.coding import coded
+from decogs.decoder.sound.packets import FrameSound
+from decogs.formats.errors import UsageError
+from decogs.formats.rigs import FrameSource, Rig
+from decogs.formats.rigs.sources import CutSource
+from decogs.formats.soundtracks import RATE, read_samples, read_sound, sound_channels
+from decogs.formats.videos import VideoSource
+
+AUTO, NONE = "auto", "none"
+_SECONDS_COMPARED = 30.0
+_WINDOW = RATE // 50
+_SILENCE = 1e-9
+"""Energy of 16 bits' last place."""
+_CLIPPED = 1e-3
+"""Share of samples at full level."""
+_SAME_RATE = 5e-4
+"""Relative; beyond it sound is a frame off within a minute."""
+
+
+@dataclass(frozen=True)
+class SoundSource:
+    """Sound for a stream of ``fps`` frames a second; what `read_samples` takes, and the track that it becomes."""
+
+    path: Path
+    track: SoundTrack
+    fps: float
+    begin: float = 0.0
+    picture: int | None = None
+
+    def packets(self) -> Iterator[FrameSound]:
+        """The packets of each frame from 0 on, endlessly. Raises UsageError where the file cannot be read."""
+        samples = read_samples(self.path, self.track.channels, begin=self.begin, picture=self.picture)
+        return coded(samples, self.track.channels, self.fps)
+
+
+def sound_source(
+    audio: str | os.PathLike[str] | None, rig: Rig, first: int, warn: Callable[[str], None]
+) -> SoundSource | None:
+    """The sound that ``audio`` names, for a stream that begins with the rig's frame ``first``; None for none.
+
+    ``audio``: a camera's name, a file, which begins with the rig's first frame, or AUTO: of the cameras, the one whose
+    sound stands out most against its noise. Raises UsageError for what has no sound, or cannot be in step.
+    """
+    if audio is None or str(audio) == NONE:
+        return None
+    if rig.fps is None or rig.fps < SLOWEST:
+        known = "no frame rate" if rig.fps is None else f"{rig.fps:g} frames per second"
+        raise UsageError(f"`audio` {audio}: {rig.path} has {known}, and sound needs at least {SLOWEST:g}")
+    cameras = {camera.name: source for camera, source in zip(rig.cameras, rig.sources, strict=True)}
+    if str(audio) == AUTO:
+        best = _clearest(cameras)
+        if best is None:
+            warn(f"{rig.path}: no camera has sound; the stream has none")
+            return None
+        audio = best
+    if str(audio) in cameras:
+        return _of_camera(str(audio), cameras[str(audio)], rig.fps, first)
+    path = Path(audio)
+    if not path.is_file():
+        raise UsageError(f"`audio` {audio}: is no file, and no camera of {', '.join(list(cameras)[:40])}")
+    channels = sound_channels(path)
+    if channels is None:
+        raise UsageError(f"`audio` {audio}: has no sound; name a file that has, or a camera")
+    return SoundSource(path, SoundTrack(channels, path.name), rig.fps, first / rig.fps)
+
+
+def _of_camera(name: str, source: FrameSource, fps: float, first: int) -> SoundSource:
+    video, frame = _recording(source, first)
+    channels = None if video is None else sound_channels(video.path)
+    if video is None or channels is None:
+        raise UsageError(f"`audio` {name}: this camera has no sound; name another one, or a file")
+    if source.fps is not None and abs(source.fps - fps) > _SAME_RATE * fps:
+        raise UsageError(
+            f"`audio` {name}: it recorded {source.fps:g} frames per second, which the rig plays at {fps:g}; give a "
+            "file of that speed"
+        )
+    track = SoundTrack(channels, name)
+    if video.times is None:
+        return SoundSource(video.path, track, fps, frame / (video.fps or fps))
+    return SoundSource(video.path, track, fps, picture=int(video.times[frame]))
+
+
+def _recording(source: FrameSource, frame: int) -> tuple[VideoSource | None, int]:
+    """The video and its frame that is this ``frame`` of a source; None where it is none."""
+    if isinstance(source, CutSource):
+        return _recording(source.source, source.first + frame * source.step)
+    return (source if isinstance(source, VideoSource) else None), frame
+
+
+def _clearest(cameras: dict[str, FrameSource]) -> str | None:
+    """The camera whose sound is highest above its quiet moments; one that clips comes after all others."""
+    found = {}
+    for name, source in cameras.items():
+        video, _ = _recording(source, 0)
+        sound = None if video is None else read_sound(video.path, _SECONDS_COMPARED)
+        if sound is not None and len(sound.samples) >= 2 * _WINDOW:
+            whole = sound.samples[: len(sound.samples) // _WINDOW * _WINDOW].astype(np.float64).reshape(-1, _WINDOW)
+            energies = (whole**2).mean(axis=1)
+            is_clipped = bool((np.abs(whole) >= 1).mean() > _CLIPPED)
+            found[name] = (not is_clipped, float(energies.mean() / max(np.percentile(energies, 10), _SILENCE)))
+    return max(found, key=lambda name: found[name], default=None)

@@ -1,0 +1,238 @@
+// Sound: what is put on the clock of Web Audio, and that pictures go by it. The stream's tone is another one each second.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { firefox, firefoxPath } from "./firefox.mjs";
+import { DATA, ready, started, until } from "./harness.mjs";
+import { served } from "./server.mjs";
+
+const [FIRST_TONE, STEP] = [400, 150];
+const FRAME = 1 / 30;
+
+let browser;
+before(async () => (browser = await started()));
+after(() => browser.close());
+
+/** Notes every source that is started, and where the pictures are by the sound's clock. */
+function listening() {
+  const heard = { sources: [], places: [], context: null };
+  globalThis.heard = heard;
+  const Real = AudioContext;
+  // What Playwright evaluates counts as a person's touch.
+  let touched = false;
+  addEventListener("pointerdown", () => (touched = true), true);
+  globalThis.AudioContext = class extends Real {
+    constructor(options) {
+      super(options);
+      heard.context = this;
+      if (!touched) void super.suspend();
+    }
+    /** As browsers have it, of which the one under test lets everything sound. */
+    resume() {
+      return touched ? super.resume() : Promise.reject(new DOMException("nobody touched the page", "NotAllowedError"));
+    }
+  };
+  const { start, stop } = AudioBufferSourceNode.prototype;
+  AudioBufferSourceNode.prototype.start = function (when, offset) {
+    const { sampleRate, length } = this.buffer;
+    this.noted = { when: when - offset / this.playbackRate.value, rate: this.playbackRate.value, length, sampleRate, channels: this.buffer.numberOfChannels, samples: this.buffer.getChannelData(0).slice(), stopped: Infinity };
+    heard.sources.push(this.noted);
+    start.call(this, when, offset);
+  };
+  AudioBufferSourceNode.prototype.stop = function () {
+    if (this.noted) this.noted.stopped = heard.context.currentTime;
+    stop.call(this);
+  };
+  const note = () => {
+    const player = document.querySelector("decogs-player");
+    const { context } = heard;
+    if (context?.state === "running" && player && !player.paused) heard.places.push([context.currentTime - context.outputLatency, player.currentTime]);
+  };
+  // Behind the player's own step, which may be the only one for a long time.
+  const step = () => {
+    setTimeout(note);
+    requestAnimationFrame(step);
+  };
+  requestAnimationFrame(step);
+}
+
+/** Opens the stream with tones, ready to play. */
+async function opened(query = "") {
+  const page = await browser.opened("tones", { query, width: 480, height: 270 });
+  await page.addInitScript(listening);
+  await page.reload();
+  await ready(page);
+  await until(page, "inside !== undefined && globalThis.heard.context !== null && player.shadowRoot.querySelector('.bar') !== null");
+  return page;
+}
+
+/** The tone at the beginning of each piece, by counting its zero crossings, and the time of Web Audio there; of those from one on. */
+const piecesOf = (page, first = 0) =>
+  page.evaluate((first) =>
+    globalThis.heard.sources.slice(first).sort((one, other) => one.when - other.when).map(({ when, rate, samples, sampleRate, channels, stopped }) => {
+      const part = samples.subarray(2400, 12_000);
+      let crossings = 0;
+      for (let at = 1; at < part.length; at++) crossings += part[at - 1] < 0 !== part[at] < 0 ? 1 : 0;
+      // Every second begins and ends in silence: the quietest place of a piece that has one.
+      let quietest = -1;
+      for (let at = 0, least = 0.1; at + 48 < samples.length; at += 12) {
+        const level = samples.subarray(at, at + 48).reduce((most, value) => Math.max(most, Math.abs(value)), 0);
+        if (level < least) [least, quietest] = [level, at + 24];
+      }
+      return { when, rate, channels, stopped, hertz: crossings / 2 / (part.length / sampleRate), quietest: quietest < 0 ? null : quietest / sampleRate };
+    }), first,
+  );
+const secondOf = (hertz) => Math.round((hertz - FIRST_TONE) / STEP);
+
+/** How far pictures are from the sound that is heard at the same time, in seconds, by the pieces that were heard. */
+async function apart(page, from = -Infinity) {
+  const pieces = await piecesOf(page);
+  const places = await page.evaluate(() => globalThis.heard.places);
+  return places.filter(([time]) => time > from).flatMap(([time, shown]) => {
+    const piece = pieces.findLast(({ when, rate, stopped }) => when <= time && time < when + 0.5 / rate && time < stopped);
+    if (piece === undefined) return [];
+    // Pieces begin with half seconds or with the frame that was sought: their tone says which second, their place the rest.
+    const media = mediaAt(piece, pieces);
+    return media === null ? [] : [shown - (media + (time - piece.when) * piece.rate)];
+  });
+}
+
+/** Seconds of the stream with which a piece begins: by the silence between two seconds in it, or in its neighbour. */
+function mediaAt(piece, pieces) {
+  if (piece.quietest !== null && piece.quietest > 0.05 && piece.quietest < 0.45) return secondOf(piece.hertz) + 1 - piece.quietest;
+  const neighbour = pieces.find(({ when, rate, quietest }) => quietest !== null && quietest > 0.05 && quietest < 0.45 && rate === piece.rate && Math.abs(Math.abs(when - piece.when) - 0.5 / rate) < 1e-3);
+  if (neighbour === undefined) return null;
+  return mediaAt(neighbour, []) + (piece.when - neighbour.when) * piece.rate;
+}
+
+test("sound and pictures go together, and a click begins both", async () => {
+  const page = await opened();
+  // A piece then has a second's end within it.
+  await page.evaluate(() => (document.querySelector("decogs-player").currentFrame = 8));
+  await until(page, "player.info.frame === 8 && !player.seeking");
+  await page.click(".play");
+  await until(page, "player.currentTime > 4");
+  const pieces = await piecesOf(page);
+  assert.ok(pieces.length >= 8, `${pieces.length} pieces`);
+  assert.ok(pieces.every(({ channels }) => channels === 2));
+  // Pieces follow each other to the sample.
+  const played = pieces.filter(({ stopped }) => stopped === Infinity);
+  for (let at = 1; at < played.length; at++) assert.ok(Math.abs(played[at].when - played[at - 1].when - 0.5) < 1e-6, `piece ${at}`);
+  const distances = await apart(page);
+  assert.ok(distances.length > 10, `${distances.length} places`);
+  const most = Math.max(...distances.map(Math.abs));
+  console.log(`pictures are up to ${(1000 * most).toFixed(1)} ms from the sound`);
+  // What the player lets them be apart, and how exactly a busy page can be asked.
+  assert.ok(most < 0.06 + FRAME, `pictures are up to ${most.toFixed(3)} s from the sound`);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("without a touch of anybody's, pictures play alone, until there is one", async () => {
+  const page = await opened();
+  await page.evaluate(() => void document.querySelector("decogs-player").play());
+  await until(page, "player.currentTime > 0.5");
+  assert.equal(await page.evaluate(() => globalThis.heard.context.state), "suspended");
+  assert.deepEqual(await piecesOf(page), []);
+  await page.mouse.click(5, 5);
+  await until(page, "globalThis.heard.sources.length > 1");
+  await page.context().close();
+});
+
+test("a seek, another speed, and silence at a pause", async () => {
+  const page = await opened();
+  await page.click(".play");
+  await until(page, "globalThis.heard.sources.length > 2");
+  const before = await page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    player.currentTime = 6 + 8 / 30;
+    return globalThis.heard.sources.length;
+  });
+  await until(page, `globalThis.heard.sources.length > ${before + 2}`);
+  const sought = await piecesOf(page, before);
+  assert.equal(secondOf(sought[0].hertz), 6);
+  const now = await page.evaluate(() => {
+    document.querySelector("decogs-player").playbackRate = 0.5;
+    return globalThis.heard.sources.length;
+  });
+  await until(page, `globalThis.heard.sources.length > ${now + 2}`);
+  assert.ok((await piecesOf(page, now)).some(({ rate }) => rate === 0.5));
+  await page.evaluate(() => document.querySelector("decogs-player").pause());
+  const { sources, time } = await page.evaluate(() => ({ sources: globalThis.heard.sources.map(({ when, stopped, rate }) => ({ end: Math.min(when + 0.5 / rate, stopped) })), time: globalThis.heard.context.currentTime }));
+  assert.ok(sources.every(({ end }) => end <= time + 1e-6), "something sounds on");
+  await page.context().close();
+});
+
+test("volume and mute, by the bar, by keys and by the page", async () => {
+  const page = await opened();
+  const told = () => page.evaluate(() => { const { muted, volume } = document.querySelector("decogs-player"); return [muted, volume]; });
+  assert.deepEqual(await told(), [false, 1]);
+  await page.click("[name=mute]");
+  assert.deepEqual(await told(), [true, 1]);
+  await page.keyboard.press("m");
+  assert.deepEqual(await told(), [false, 1]);
+  const events = await page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    let count = 0;
+    player.addEventListener("volumechange", () => count++);
+    player.volume = 0.25;
+    player.muted = true;
+    return count;
+  });
+  assert.equal(events, 2);
+  await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+  assert.equal(await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector("[name=volume]").value), "0");
+  await page.context().close();
+});
+
+test("a stream without sound has no controls of it, and its script does not come", async () => {
+  const page = await browser.opened("long");
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null");
+  assert.equal(await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector(".sound").hidden), true);
+  const loaded = await page.evaluate(() => performance.getEntriesByType("resource").map(({ name }) => name));
+  assert.ok(!loaded.some((name) => name.includes("decogs-sound")));
+  await page.context().close();
+});
+
+test("sound in Firefox", { skip: firefoxPath === undefined ? "Firefox is not installed" : false }, async () => {
+  const server = await served({ page: process.env.DECOGS_PAGE, data: DATA });
+  const other = await firefox();
+  try {
+    await other.go(`${server.address}/page/index.html?src=/data/tones.dgs`);
+    const told = await other.evaluate(async () => {
+      const player = document.querySelector("decogs-player");
+      const heard = [];
+      const { start } = AudioBufferSourceNode.prototype;
+      AudioBufferSourceNode.prototype.start = function (when, offset) {
+        heard.push({ when: when - offset, samples: this.buffer.getChannelData(0) });
+        start.call(this, when, offset);
+      };
+      // Firefox without a sound card never starts a context.
+      const begun = performance.now();
+      globalThis.AudioContext = class extends AudioContext {
+        get state() {
+          return "running";
+        }
+        get currentTime() {
+          return (performance.now() - begun) / 1000;
+        }
+      };
+      player.load();
+      while (player.info === null || player.readyState < 3) await new Promise((done) => setTimeout(done, 50));
+      player.currentTime = 3;
+      await player.play();
+      for (let tries = 0; heard.length < 2 && tries < 200; tries++) await new Promise((done) => setTimeout(done, 50));
+      player.pause();
+      heard.sort((one, two) => one.when - two.when);
+      const part = heard[0].samples.subarray(2400, 12_000);
+      let crossings = 0;
+      for (let at = 1; at < part.length; at++) crossings += part[at - 1] < 0 !== part[at] < 0 ? 1 : 0;
+      return { hertz: crossings / 2 / (part.length / 48_000), apart: heard[1].when - heard[0].when };
+    });
+    assert.equal(secondOf(told.hertz), 3);
+    assert.ok(Math.abs(told.apart - 0.5) < 1e-6);
+  } finally {
+    await other.close();
+    await server.close();
+  }
+});
