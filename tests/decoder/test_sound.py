@@ -104,6 +104,9 @@ def test_it_is_told_by_info(sounding: Path, small_stream, capsys: pytest.Capture
     facts = info(sounding, strict=True)
     assert [(sound.track.title, sound.track.channels) for sound in facts.sounds] == [("mix", 2), ("voice", 1)]
     assert sum(sound.bytes for sound in facts.sounds) < sounding.stat().st_size - small_stream.path.stat().st_size
+    sizes = facts.totals["bytes_by_purpose"]
+    assert sizes["sound"] == sum(sound.bytes for sound in facts.sounds)
+    assert sum(sizes.values()) == facts.file_bytes
     assert info_main([str(sounding)]) == 0
     assert re.search(
         r"^sound +voice: Opus, mono, 48000 Hz, 0\.\d\d s, .*, at 1,2,3$", capsys.readouterr().out, re.MULTILINE

@@ -1,5 +1,8 @@
 // Sound: what is put on the clock of Web Audio, and that pictures go by it. The stream's tone is another one each second.
 import assert from "node:assert/strict";
+import { appendFileSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { firefox, firefoxPath } from "./firefox.mjs";
 import { DATA, ready, started, until } from "./harness.mjs";
@@ -9,8 +12,12 @@ const [FIRST_TONE, STEP] = [400, 150];
 const FRAME = 1 / 30;
 
 let browser;
-before(async () => (browser = await started()));
-after(() => browser.close());
+const folder = mkdtempSync(join(tmpdir(), "decogs-sounding-"));
+before(async () => (browser = await started({ growing: folder })));
+after(async () => {
+  await browser.close();
+  rmSync(folder, { recursive: true, force: true });
+});
 
 /** Notes every source that is started, and where the pictures are by the sound's clock. */
 function listening() {
@@ -191,6 +198,35 @@ test("a stream without sound has no controls of it, and its script does not come
   assert.equal(await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector(".sound").hidden), true);
   const loaded = await page.evaluate(() => performance.getEntriesByType("resource").map(({ name }) => name));
   assert.ok(!loaded.some((name) => name.includes("decogs-sound")));
+  await page.context().close();
+});
+
+test("a stream that grows sounds on without a hole", async () => {
+  const whole = readFileSync(join(DATA, "tones.dgs"));
+  const path = join(folder, "tones.dgs");
+  writeFileSync(path, whole.subarray(0, Math.round(0.1 * whole.length)));
+  const page = await browser.opened("tones", { folder: "growing", query: "&follow", width: 480, height: 270 });
+  await page.addInitScript(listening);
+  await page.reload();
+  await ready(page);
+  await until(page, "globalThis.heard.context !== null && player.shadowRoot.querySelector('.bar') !== null");
+  await page.click(".play");
+  // As fast as it plays, so that the newest frame is always soon due.
+  for (let part = 2; part < 20; part++) {
+    appendFileSync(path, whole.subarray(Math.round((part / 20) * whole.length), Math.round(((part + 1) / 20) * whole.length)));
+    await new Promise((done) => setTimeout(done, 500));
+  }
+  await until(page, "player.ended", 60_000);
+  const holes = await page.evaluate(() =>
+    globalThis.heard.sources.map(({ samples }) => {
+      let longest = 0;
+      for (let at = 0, silent = 0; at < samples.length; at++) longest = Math.max(longest, (silent = samples[at] === 0 ? silent + 1 : 0));
+      return longest;
+    }),
+  );
+  assert.ok(holes.length >= 10, `${holes.length} pieces`);
+  // The last frame of all may have a block less.
+  assert.ok(Math.max(...holes.slice(0, -1)) < 100, `${Math.max(...holes)} samples of silence`);
   await page.context().close();
 });
 
