@@ -212,6 +212,13 @@ def flags_of(instruction_set: str) -> list[str]:
     return [flag.replace("x86-64-", "x86_64_") for flag in flags] if TARGET else flags
 
 
+def names_itself(name: str) -> list[str]:
+    """What keeps Zig from writing the folder that a library for macOS was linked in into it."""
+    if TARGET is None or "-macos" not in TARGET.zig:
+        return []
+    return [f"-Wl,-install_name,@rpath/{name.rpartition('.')[2]}{TARGET.suffix}"]
+
+
 def kernels() -> list[Extension]:
     headers = [str(path) for folder, _ in KERNELS.values() for path in sorted(Path(folder).glob("*.h"))]
     return [
@@ -226,7 +233,7 @@ def kernels() -> list[Extension]:
                 f"-Ddecogs=decogs_{instruction_set}",
                 *flags_of(instruction_set),
             ],
-            extra_link_args=SHARED,
+            extra_link_args=[*SHARED, *names_itself(f"{name}_{instruction_set}")],
             language="c++",
             py_limited_api=True,
         )

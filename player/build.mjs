@@ -20,7 +20,7 @@ const bundles = {
   "decogs-xr": "xr/show",
   "decogs-sound": "sound/index",
   // A worker of several files, or WebAssembly beside it, is more than bundlers can be trusted with.
-  ...(forPackage ? { "decogs-decoder": "decoder" } : { "decogs-exact": "worker/exact_pictures" }),
+  ...(forPackage ? { "decogs-decoder": "decoder", "decogs-three": "engine/three", "decogs-playcanvas": "engine/playcanvas" } : { "decogs-exact": "worker/exact_pictures", "decogs-ply": "export/ply" }),
 };
 
 const late = {
@@ -56,6 +56,7 @@ await build({
   outdir: folder,
   bundle: true,
   plugins: [late, texts],
+  external: ["three", "playcanvas"],
   // WebAssembly lies in files of its own, compiled while they come; the package carries its own as base64, half of all the
   // script there was.
   loader: { ".wasm": forPackage ? "binary" : "file" },
@@ -81,7 +82,7 @@ if (forPackage) {
 
 /** Declarations, with the endings that Node's way of finding modules wants. */
 function writeTypes(folder) {
-  const entries = ["src/element/index.ts", "src/decoder.ts", "src/imports.d.ts"];
+  const entries = ["src/element/index.ts", "src/decoder.ts", "src/engine/three.ts", "src/engine/playcanvas.ts", "src/imports.d.ts"];
   const options = ["--ignoreConfig", "--declaration", "--emitDeclarationOnly", "--outDir", folder, "--rootDir", "src", "--skipLibCheck", "--strict", "--types", "webxr"];
   const language = ["--target", "es2022", "--module", "es2022", "--moduleResolution", "bundler", "--lib", "es2022,dom,dom.iterable,webworker"];
   execFileSync(process.execPath, [join(here, "node_modules/typescript/bin/tsc"), ...entries, ...options, ...language], { cwd: here, stdio: "inherit" });

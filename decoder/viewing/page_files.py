@@ -47,12 +47,18 @@ class PageFile:
 
 
 def page_files(
-    stream: str, *, follow: bool = False, recordings: str | None = None, poster: bytes | None = None
+    stream: str,
+    *,
+    follow: bool = False,
+    recordings: str | None = None,
+    title: str = "",
+    poster: bytes | None = None,
 ) -> list[PageFile]:
     """The page that plays the stream of this file name beside it; index.html is last.
 
     ``follow``: a stream that still grows. ``recordings``: where the pictures of its rig lie, a template.
-    ``poster``: a JPEG that is shown until the first picture is there, and in links to the page.
+    ``title``: what it calls itself. ``poster``: a JPEG that is shown until the first picture is there, and, with title
+    or file name, in links to the page.
     Raises UsageError where the page was not built, or has a file of that name.
     """
     try:
@@ -68,8 +74,8 @@ def page_files(
     source += "" if recordings is None else f' recordings="{escape(recordings)}"'
     if poster is not None:
         source += f' poster="./{POSTER}"'
-        title = escape(stream.encode("utf-8", "replace").decode())
-        index = index.replace(_HEAD, f'{_HEAD}\n<meta property="og:title" content="{title}">{_PREVIEW}')
+        name = escape(title or stream.encode("utf-8", "replace").decode())
+        index = index.replace(_HEAD, f'{_HEAD}\n<meta property="og:title" content="{name}">{_PREVIEW}')
     index = index.replace(_PLACE, source)
     return [*(PageFile(name, data) for name, data in found.items()), PageFile(INDEX, index.encode("utf-8"))]
 

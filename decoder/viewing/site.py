@@ -45,8 +45,8 @@ def write_site(
     """
     source, target = Path(stream), Path(folder)
     check_header(source, follow=False)
-    poster = _first_picture(source)
-    files = page_files(source.name, poster=poster)
+    title, poster = _shown_first(source)
+    files = page_files(source.name, title=title, poster=poster)
     # One that was written before may have had a poster.
     _check_folder(target, source, {file.name for file in files} | {source.name, POSTER}, overwrite)
     with source.open("rb") as opened, staged_files(target) as staging:
@@ -56,22 +56,24 @@ def write_site(
     return SiteReport(target, len(files) + 1, copied + sum(len(file.data) for file in files))
 
 
-def _first_picture(stream: Path) -> bytes | None:
-    """The picture that the page begins with, as JPEG: what shows before the player, and in links to the page.
+def _shown_first(stream: Path) -> tuple[str, bytes | None]:
+    """What the stream calls itself, and the picture of its poster frame as JPEG: before the player, and in links.
 
-    None of a subject, which JPEG cannot leave out of its background, and of a stream whose first frame is damaged.
+    No picture of a subject, which JPEG cannot leave out of its background, and of a stream whose frame is damaged.
     """
     with open_stream(stream, on_damage=lambda damage: None) as opened:
         header = opened.header
+        shown = header.presentation
         if header.subject:
-            return None
+            return shown.title, None
         seen = [camera.name for camera in header.cameras if camera.name not in header.held_out]
+        view = shown.first_view or (seen[0] if seen else header.cameras[0].name)
+        poster = max(0, min(shown.poster or 0, opened.frame_count - 1))
         try:
-            frame = next(opened.frames(0, 1))
+            frame = next(opened.frames(poster, poster + 1))
         except (StreamError, StopIteration):
-            return None
-        view = seen[0] if seen else header.cameras[0].name
-        return jpeg(to_8bit(render_view(header, frame.splats, view, undistorted=True).image))
+            return shown.title, None
+        return shown.title, jpeg(to_8bit(render_view(header, frame.splats, view, undistorted=True).image))
 
 
 def _check_folder(folder: Path, source: Path, names: set[str], overwrite: bool) -> None:

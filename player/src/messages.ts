@@ -18,6 +18,8 @@ export type ToWorker =
   | { readonly type: "show"; readonly frame: number; readonly request: number }
   /** Look from elsewhere; answered by an "order", with `serial` of the last of several views. */
   | { readonly type: "view"; readonly depth: DepthRow; readonly serial: number }
+  /** Draw so large a share of the Gaussians, those that cover most; answered by an "order". */
+  | { readonly type: "detail"; readonly share: number }
   /** Look whether the source has grown. */
   | { readonly type: "refresh" }
   /** Send the whole frame again: the page has lost its textures. */
@@ -26,6 +28,10 @@ export type ToWorker =
   | { readonly type: "recycle"; readonly buffers: readonly ArrayBuffer[] }
   /** Draw the scene with the decoder's kernel; answered by an "exact". */
   | { readonly type: "exact"; readonly camera: PinholeCamera }
+  /** Draw the keyframe at or before a frame with the kernel; answered by a "still". */
+  | { readonly type: "still"; readonly frame: number; readonly camera: PinholeCamera }
+  /** Give the frame that is shown as a .ply; answered by a "ply". */
+  | { readonly type: "ply" }
   /** The sound of frames from one up to, not including, another; answered by a "sound" of the same `request`. */
   | { readonly type: "sound"; readonly from: number; readonly to: number; readonly request: number }
   | { readonly type: "close" };
@@ -149,6 +155,10 @@ export type FromWorker =
   | { readonly type: "refreshed"; readonly grown: boolean }
   /** `picture` null: there is none, and `problem` says why, if something is wrong. */
   | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null }
+  /** null: there is none. */
+  | { readonly type: "still"; readonly picture: ExactPicture | null }
+  /** null: there is none, and `problem` says why. */
+  | { readonly type: "ply"; readonly bytes: Uint8Array<ArrayBuffer> | null; readonly problem: string }
   | { readonly type: "sound"; readonly request: number; readonly frames: readonly SoundFrame[] }
   /** `request` null: the stream cannot be opened at all. */
   | { readonly type: "failed"; readonly request: number | null; readonly message: string };

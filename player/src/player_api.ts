@@ -72,10 +72,14 @@ export interface PlayerApi extends HTMLElement {
   /** The frame that is due, counted from 0. */
   currentFrame: number;
   playbackRate: number;
+  /** So large a share of the pixels is drawn, and fewer Gaussians, from above 0 to 1. */
+  quality: number;
   /** Of a stream that has sound, from 0 to 1. */
   volume: number;
   muted: boolean;
   loop: boolean;
+  /** Frames that are played again and again, from one up to, not including, another; null: all are played. */
+  range: Span | null;
   controls: boolean;
   overlay: Overlay;
   /** Whether the decoder's own kernel draws: slower, and to the bit what decogs-decode writes. */
@@ -99,6 +103,10 @@ export interface PlayerApi extends HTMLElement {
   currentCamera(width?: number, height?: number): PinholeCamera | null;
   /** A PNG of the picture, as large as the element or of so many pixels. */
   capture(width?: number, height?: number): Promise<Blob>;
+  /** The keyframe at or before a frame from where the scene is looked at now, so many pixels wide; null where there is none. */
+  thumbnail(frame: number, width: number): Promise<ImageData | null>;
+  /** The frame in the picture as a .ply of 3D Gaussians, in the world that the stream is shown in. */
+  ply(): Promise<Blob>;
   /** Looks through a camera of the rig, by its place in `header.cameras`. */
   lookThrough(index: number, atOnce?: boolean): void;
   /** The camera before or after the one looked through last. */

@@ -5,6 +5,8 @@
  * the page as it is.
  */
 
+import type { Similarity } from "./geometry/similarity";
+
 /** Kinds of frames, as packets name them (SPEC section 3). */
 export type FrameKind = "key" | "delta" | "skip";
 
@@ -72,7 +74,19 @@ export interface StreamHeader {
   readonly corrected: ReadonlyMap<string, readonly string[]>;
   /** Whether this is a subject without its surroundings: what it does not cover is not black but nothing. */
   readonly subject: boolean;
+  readonly presentation: Presentation;
   readonly sound: readonly SoundTrack[];
+}
+
+/** How a stream wants to be shown (SPEC section 4). null and the empty text: it does not say. */
+export interface Presentation {
+  readonly title: string;
+  /** The frame that stands for the stream. */
+  readonly poster: number | null;
+  /** The camera to begin with, by name. */
+  readonly firstView: string | null;
+  /** Takes scene and cameras as they are stored to the world that the stream is shown in. */
+  readonly transform: Similarity | null;
 }
 
 /** A track of sound; all are played together. */
@@ -159,6 +173,12 @@ export interface FrameMetrics {
   readonly psnr: number | null;
 }
 
+/** A keyframe that was decoded aside. */
+export interface Still {
+  readonly frame: number;
+  readonly gaussians: Gaussians;
+}
+
 /** A stream that is open: bytes come as they are needed. All methods reject with a StreamError. */
 export interface SceneStream {
   readonly header: StreamHeader;
@@ -182,6 +202,8 @@ export interface SceneStream {
   readonly notices: readonly string[];
   /** The scene at a frame. Going one frame on costs one packet; going elsewhere reads and decodes from its keyframe. */
   frame(index: number, signal?: AbortSignal): Promise<SceneFrame>;
+  /** The keyframe at or before a frame, while another frame is shown; one at a time, and in memory of its own. */
+  keyframe(index: number): Promise<Still>;
   /** Reads bytes of the coming frames ahead, within the window that bounds memory. */
   prefetch(from: number): Promise<void>;
   /** The sound of frames from one up to, not including, another, as far as they are known; damage is silence. */

@@ -24,6 +24,7 @@ import pytest
 
 from decogs.decoder import open_stream, view
 from decogs.decoder.commands import view_main
+from decogs.decoder.editing import Set, Transform, edit
 from decogs.decoder.viewing import notebook, page_files, piped
 from decogs.decoder.viewing.byte_ranges import NoSuchBytes, asked_range
 from decogs.decoder.viewing.recorded_pictures import RecordedPictures
@@ -426,6 +427,22 @@ def test_the_poster_is_the_first_frame_of_the_first_camera(small_stream: Any, tm
     found = cv2.imread(str(site / "poster.jpg"))[..., ::-1].astype(float) / 255
     assert found.shape == expected.shape
     assert np.abs(found - np.clip(expected, 0, 1)).mean() < 0.03  # JPEG at the quality of recordings
+
+
+def test_the_stream_says_which_frame_camera_and_title_links_show(small_stream: Any, tmp_path: Path) -> None:
+    shown, site = tmp_path / "shown.dgs", tmp_path / "site"
+    with open_stream(small_stream.path) as stream:
+        poster, view = stream.frame_count - 1, stream.header.cameras[-1].name
+    change = Set(title='A "b" & <c>', poster=poster, first_view=view)
+    edit(small_stream.path, shown, [change, Transform(scale=2.0, shift=(1.0, 2.0, 3.0))])
+    assert view_main([str(shown), "-o", str(site)]) == 0
+    with open_stream(shown) as stream:
+        frame = next(stream.frames(poster, poster + 1))
+        expected = render_view(stream.header, frame.splats, view, undistorted=True).image
+    found = cv2.imread(str(site / "poster.jpg"))[..., ::-1].astype(float) / 255
+    assert np.abs(found - np.clip(expected, 0, 1)).mean() < 0.03
+    title = '<meta property="og:title" content="A &quot;b&quot; &amp; &lt;c&gt;">'
+    assert title in (site / "index.html").read_text()
 
 
 def test_a_folder_of_someone_elses_is_left_alone(small_stream: Any, tmp_path: Path, capsys: Any) -> None:

@@ -19,6 +19,7 @@ from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
+from decogs.codec.presentation import Presentation
 from decogs.codec.state import take_rows
 from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.decoder import open_stream
@@ -43,6 +44,20 @@ POSE = {
 }
 SEGMENT = 60
 LONG = 300
+SHOWN = Presentation(
+    title="Three <cameras> & a ball",
+    poster=2,
+    first_view="off centre",
+    # 2.5 times a turn of 40 degrees about z after one of 25 about x.
+    transform=(
+        (1.915111107797445, -1.456408540173963, 0.679134455685461, 3.0),
+        (1.606969024216348, 1.73568011003721, -0.809360927417662, -20.0),
+        (0.0, 1.056545654351749, 2.265769467591625, 0.5),
+    ),
+)
+WALL = 1.8
+WALL_COLOUR = (0.2, 0.6, 0.4)
+"""Of scenes in engines (player/tests/browser/engines.test.mjs): the depth of an opaque wall, display-referred RGB."""
 WIDE = 150
 """Frames of a stream of some Mbit/s, for slow links."""
 
@@ -74,7 +89,14 @@ def cameras(near: float = 0.0) -> tuple[Camera, ...]:
 
 
 def write_stream(
-    path: Path, count: int, degree: int, frames: int, *, near: float = 0.0, subject: bool = False
+    path: Path,
+    count: int,
+    degree: int,
+    frames: int,
+    *,
+    near: float = 0.0,
+    subject: bool = False,
+    presentation: Presentation = Presentation(),  # noqa: B008 - frozen
 ) -> list[int]:
     """A tenth of the Gaussians move in every frame, some come and go; a keyframe begins each segment. Packets' ends."""
     lattice = default_lattice(2.0)
@@ -85,6 +107,7 @@ def write_stream(
         fps=30.0,
         background=(0.2, 0.3, 0.5),
         subject=subject,
+        presentation=presentation,
     )
     random = np.random.default_rng(7)
     state, _ = keyframe_state(quantise(scene(count, degree, 3), lattice))
@@ -108,6 +131,18 @@ def write_stream(
             ends.append(file.tell())
         writer.finish()
     return ends
+
+
+def write_scene_before(path: Path, depth: float) -> None:
+    """What of a scene stands before a wall at this depth, over the wall's colour."""
+    header = StreamHeader(cameras=cameras(), lattice=default_lattice(2.0), sh_degree=1, background=WALL_COLOUR)
+    splats = scene(1500, 1, 3)
+    whole = quantise(splats, header.lattice)
+    state, _ = keyframe_state(take_rows(whole, np.flatnonzero(splats.means[:, 2] < depth)))
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        writer.write(PacketKind.KEY, 0, write_key(state).payload)
+        writer.finish()
 
 
 def recording_cameras() -> tuple[Camera, ...]:
@@ -213,6 +248,15 @@ def main() -> None:
             for frame in (0, 1):
                 pictures.take(name, frame, camera, recorded=True)
         pictures.take(name, 1, "barrel")
+    for degree in (0, 3):
+        name = f"shown{degree}"
+        write_stream(folder / f"{name}.dgs", 1500, degree, 4, presentation=SHOWN, near=0.6)
+        for camera in ("cam00", "off centre"):
+            pictures.take(name, 3, camera)
+        pictures.take(name, 2, None, near_to(folder / f"{name}.dgs"))
+    for name, nearer in (("engine", np.inf), ("engine_nearer", WALL)):
+        write_scene_before(folder / f"{name}.dgs", nearer)
+        pictures.take(name, 0, "cam00")
     write_stream(folder / "subject.dgs", 300, 1, 2, subject=True)
     pictures.take("subject", 1, "cam00")
     write_stream(folder / "wide.dgs", 6000, 1, WIDE)

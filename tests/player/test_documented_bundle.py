@@ -14,7 +14,7 @@ PAGE = PLAYER.parent / "docs" / "exports.md"
 
 def test_the_documented_command_makes_a_module_that_loads(tmp_path: Path) -> None:
     program = node()
-    (command,) = re.findall(r"`npx (esbuild src/frame_source\.ts .*?)`", PAGE.read_text())
+    (command,) = re.findall(r"`npx (esbuild src/export/frame_source\.ts .*?)`", PAGE.read_text())
     words = [word for word in shlex.split(command) if not word.startswith("--outfile=")]
     made = tmp_path / "frames.mjs"
     words[0] = str(PLAYER / "node_modules" / ".bin" / "esbuild")

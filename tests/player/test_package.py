@@ -18,6 +18,9 @@ from node import PLAYER, node
 
 VITE = "8.3.8"
 TYPESCRIPT = "6.0.3"
+REACT = {"react": "19.2.0", "@types/react": "19.2.2"}
+ENGINES = ("three", "@types/three", "playcanvas")
+"""Those that player/ has itself."""
 NO_CHROMIUM = 3
 
 MAIN = """
@@ -32,10 +35,35 @@ player.lookFrom(player.view?.pose ?? { axes: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], 
 const [vertex] = await (await createFrameSource("scene.dgs")).getFrame(0);
 export const told: [string | null, number] = [sentence, vertex.count];
 """
+IN_ENGINES = """
+import { DecogsObject } from "@decogs/player/three";
+import { DecogsEntity } from "@decogs/player/playcanvas";
+import { Application, Entity } from "playcanvas";
+import { Scene } from "three";
+
+const object = new DecogsObject("scene.dgs", { loop: true });
+new Scene().add(object);
+object.position.set(0, 1, 0);
+const time: number = object.player.currentTime;
+const application = new Application(document.querySelector("canvas")!);
+const drawn = new DecogsEntity(application, new Entity(), "scene.dgs", { autoplay: true, layer: 0 });
+export const told: [number, boolean] = [time, drawn.player.paused];
+"""
 WRONG = 'import { DecogsPlayer } from "@decogs/player";\nexport const wrong: number = new DecogsPlayer().src;\n'
 PAGE = """<!doctype html><html><head><link rel="icon" href="data:,"></head>
 <body><decogs-player src="scene.dgs" controls></decogs-player>
-<script type="module">import "@decogs/player";</script></body></html>"""
+<script type="module">
+import "@decogs/player";
+import { DecogsObject } from "@decogs/player/three";
+import { PerspectiveCamera, Scene, WebGLRenderer } from "three";
+
+const renderer = new WebGLRenderer();
+const object = new DecogsObject("scene.dgs");
+const scene = new Scene().add(object);
+const camera = new PerspectiveCamera();
+renderer.setAnimationLoop(() => renderer.render(scene, camera));
+globalThis.inScene = object.player;
+</script></body></html>"""
 
 
 def ran(*command: str, cwd: Path, timeout: int = 300) -> subprocess.CompletedProcess[str]:
@@ -53,8 +81,9 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     package = {
         "private": True,
         "type": "module",
-        "dependencies": {"@decogs/player": f"file:{archive.name}"},
-        "devDependencies": {"vite": VITE, "typescript": TYPESCRIPT},
+        "dependencies": {"@decogs/player": f"file:{archive.name}"}
+        | {name: f"file:{PLAYER / 'node_modules' / name}" for name in ENGINES},
+        "devDependencies": {"vite": VITE, "typescript": TYPESCRIPT} | REACT,
     }
     (folder / "package.json").write_text(json.dumps(package))
     got = ran("npm", "install", "--no-audit", "--no-fund", cwd=folder)
@@ -81,11 +110,16 @@ def test_the_package_holds_what_it_names(project: Path) -> None:
 def test_its_types_are_right(project: Path, resolution: tuple[str, str]) -> None:
     module, way = resolution
     (project / "main.ts").write_text(MAIN)
+    (project / "engines.ts").write_text(IN_ENGINES)
+    readme = (PLAYER / "README.md").read_text()
+    (project / "react.tsx").write_text("".join(re.findall(r"```tsx\n(.*?)```", readme, re.DOTALL)))
     (project / "wrong.ts").write_text(WRONG)
     compiler = [str(project / "node_modules/.bin/tsc"), "--ignoreConfig", "--noEmit", "--strict", "--target", "es2022"]
     options = ["--module", module, "--moduleResolution", way, "--lib", "es2022,dom,dom.iterable"]
     right = ran(*compiler, *options, "main.ts", cwd=project)
     assert right.returncode == 0, right.stdout
+    others = ran(*compiler, *options, "--jsx", "react-jsx", "--skipLibCheck", "engines.ts", "react.tsx", cwd=project)
+    assert others.returncode == 0, others.stdout
     wrong = ran(*compiler, *options, "wrong.ts", cwd=project)
     assert "TS2322" in wrong.stdout
 
@@ -101,7 +135,14 @@ def test_a_page_built_by_vite_plays(project: Path) -> None:
     if played.returncode == NO_CHROMIUM:
         pytest.skip("Chromium is not installed")
     assert played.returncode == 0, played.stdout + played.stderr
-    assert json.loads(played.stdout) == {"frame": 0, "exact": True, "controls": True, "error": None, "complaints": []}
+    assert json.loads(played.stdout) == {
+        "frame": 0,
+        "exact": True,
+        "controls": True,
+        "error": None,
+        "inScene": 0,
+        "complaints": [],
+    }
 
 
 def test_its_decoder_runs_in_node(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import type { CameraColours, Lattice, RigCamera, StreamHeader } from "../scene";
 import { refuse } from "./errors";
 import { JsonNumber, parseJson, type JsonObject, type JsonValue } from "./json";
 import { MAX_CAMERAS, MAX_HEADER_BYTES, MAX_IMAGE_SIDE } from "./limits";
+import { readPresentation } from "./presentation";
 import { readSoundTracks } from "../sound/packets";
 
 const MAX_TEXT = 65_536;
@@ -39,6 +40,7 @@ export function readHeader(payload: Uint8Array): StreamHeader {
     heldOut,
     corrected: readCorrected(members, effects),
     subject: readFlag(members, "subject"),
+    presentation: readPresentation(members.get("presentation"), cameras.map(({ name }) => name)),
     sound: readSoundTracks(members.get("sound"), readFps(member(members, "fps"))),
   };
   checkTexts(members);

@@ -66,6 +66,7 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     },
   },
   { keys: ["l"], shown: "L", text: "loop", act: (player) => { player.loop = !player.loop; } },
+  { keys: ["x"], shown: "X", text: "mark where a loop begins, where it ends, and end it", act: (_, panels) => { panels.mark(); } },
   {
     keys: ["c"],
     shown: "C",

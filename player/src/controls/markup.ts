@@ -32,6 +32,7 @@ export function markup(): string {
 <div class="menu panel" role="group" aria-label="View" hidden>
   <label>Show <select name="overlay">${option("none", "the scene")}${option("changes", "what changes now")}${option("motion", "still and moving")}</select></label>
   <label>Speed <select name="rate">${[0.1, 0.25, 0.5, 1, 2, 4].map((rate) => option(String(rate), `${rate} ×`)).join("")}</select></label>
+  <label title="Fewer pixels and fewer Gaussians, for weak devices">Quality <select name="quality">${option("1", "whole")}${option("0.5", "a half")}${option("0.25", "a quarter")}</select></label>
   <label class="check"><input type="checkbox" name="loop"> Loop</label>
   <label class="check" title="Drawn by the decoder's own renderer, to the bit; slower"><input type="checkbox" name="exact"> Exact picture</label>
   <label class="check" title="Cameras of the rig with their lens, their colours, and where they stood in the frame"><input type="checkbox" name="recorded"> As recorded</label>
@@ -39,6 +40,7 @@ export function markup(): string {
   <label class="check"><input type="checkbox" name="figures"> Figures</label>
   <hr>
   <button type="button" name="picture">Save picture</button>
+  <button type="button" name="ply" title="The frame's Gaussians, for other viewers">Save frame as .ply</button>
   <button type="button" name="pose">Copy camera as pose.json</button>
   <button type="button" name="link">Copy link to this view</button>
   <button type="button" name="embed">Copy code to embed it</button>

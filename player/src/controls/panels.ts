@@ -42,6 +42,8 @@ export class Panels {
   private loadingTimer = 0;
   private shownBusy = false;
   private invited = false;
+  /** The frame that a loop is to begin with, once its end is marked. */
+  private marked: number | null = null;
   /** What had the focus before a panel was opened. */
   private opener: HTMLElement;
   private legendOf: Overlay = "none";
@@ -161,11 +163,36 @@ export class Panels {
     return fills;
   }
 
+  /** The first frame of a loop, the last one, and no loop any more, one after the other. */
+  mark(): void {
+    const { player } = this;
+    const frame = player.currentFrame;
+    if (player.range !== null) {
+      player.range = null;
+      this.marked = null;
+      this.hint("No loop");
+    } else if (this.marked === null) {
+      this.marked = frame;
+      this.hint(`Loop from frame ${frame}; X again where it ends`);
+    } else {
+      player.range = [Math.min(frame, this.marked), Math.max(frame, this.marked) + 1];
+      this.marked = null;
+      this.hint(`Loop of frames ${player.range[0]} to ${player.range[1] - 1}`);
+    }
+    this.timeline.mark(this.marked);
+    this.refresh();
+  }
+
   async savePicture(): Promise<void> {
+    await this.save(this.player.capture(), `${this.player.camera || "view"}_${this.frameText()}.png`);
+  }
+
+  /** Gives what is made, once it is, to whoever looks at the page, as a file. */
+  private async save(made: Promise<Blob>, name: string): Promise<void> {
     try {
       const link = document.createElement("a");
-      link.href = URL.createObjectURL(await this.player.capture());
-      link.download = `${this.player.camera || "view"}_${String(this.player.currentFrame).padStart(4, "0")}.png`;
+      link.href = URL.createObjectURL(await made);
+      link.download = name;
       link.click();
       setTimeout(() => {
         URL.revokeObjectURL(link.href);
@@ -173,6 +200,10 @@ export class Panels {
     } catch (error) {
       this.say(error instanceof Error ? error.message : String(error), false);
     }
+  }
+
+  private frameText(): string {
+    return String(this.player.info?.frame ?? 0).padStart(4, "0");
   }
 
   private listen(): void {
@@ -200,6 +231,7 @@ export class Panels {
         void this.toggleFullScreen();
       },
       picture: () => void this.savePicture(),
+      ply: () => void this.save(this.player.ply(), `frame_${this.frameText()}.ply`),
       pose: () => void this.copyPose(),
       link: () => void this.copyLink(),
       embed: () => void this.copyEmbed(),
@@ -224,6 +256,9 @@ export class Panels {
     });
     this.select("rate").addEventListener("change", ({ target }) => {
       player.playbackRate = Number((target as HTMLSelectElement).value);
+    });
+    this.select("quality").addEventListener("change", ({ target }) => {
+      player.quality = Number((target as HTMLSelectElement).value);
     });
     this.field("loop").addEventListener("change", ({ target }) => {
       player.loop = (target as HTMLInputElement).checked;
@@ -270,6 +305,7 @@ export class Panels {
     this.updateCameras();
     this.select("overlay").value = player.overlay;
     this.select("rate").value = String(player.playbackRate);
+    this.select("quality").value = String(player.quality);
     this.input("loop").checked = player.loop;
     this.input("exact").checked = player.exact;
     this.input("exact").disabled = !player.canChooseExact;

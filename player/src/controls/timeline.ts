@@ -3,6 +3,7 @@
  * stream's life at a glance, and the slider to move in it. PSNR is a line over it where the stream tells it.
  */
 import type { PlayerApi } from "../player_api";
+import { Thumbnails } from "./thumbnails";
 import { bytesText, timeText } from "./time_text";
 
 const SMALLEST_PACKET = 24;
@@ -12,8 +13,11 @@ const WIDEST = 12;
 export class Timeline {
   private readonly canvas = document.createElement("canvas");
   private readonly tip = document.createElement("div");
+  private readonly told = document.createElement("div");
+  private readonly thumbnails: Thumbnails;
   private drawnState = "";
   private hovered = -1;
+  private marked: number | null = null;
 
   constructor(
     private readonly player: PlayerApi,
@@ -21,6 +25,8 @@ export class Timeline {
   ) {
     this.tip.className = "tip";
     this.tip.hidden = true;
+    this.thumbnails = new Thumbnails(player);
+    this.tip.append(this.thumbnails.canvas, this.told);
     track.append(this.canvas, this.tip);
     track.addEventListener("pointerdown", (event) => {
       track.setPointerCapture(event.pointerId);
@@ -36,6 +42,11 @@ export class Timeline {
     });
   }
 
+  /** Shows where a loop is to begin; null: nowhere. */
+  mark(frame: number | null): void {
+    this.marked = frame;
+  }
+
   /** Draws what has changed; cheap when nothing has. */
   refresh(): void {
     const { player, track, canvas } = this;
@@ -44,7 +55,7 @@ export class Timeline {
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [Math.round(track.clientWidth * ratio), Math.round(track.clientHeight * ratio)];
     const colours = getComputedStyle(track);
-    const state = [count, frame, width, height, player.frames.psnr.size, player.bufferedFrames, colours.color].join();
+    const state = [count, frame, width, height, player.frames.psnr.size, player.bufferedFrames, player.range, this.marked, colours.color].join();
     if (state === this.drawnState || width === 0) return;
     this.drawnState = state;
     [canvas.width, canvas.height] = [width, height];
@@ -80,6 +91,13 @@ export class Timeline {
     for (const [from, to] of bufferedFrames) context.fillRect((from / count) * width, height - base, ((to - from) / count) * width, base);
     context.globalAlpha = 0.6;
     context.fillRect(0, height - base, ((currentFrame + 0.5) / count) * width, base);
+    const looped = this.player.range ?? (this.marked === null ? null : [this.marked, this.marked + 1]);
+    if (looped !== null) {
+      context.fillStyle = accent;
+      context.globalAlpha = 0.25;
+      const [from, to] = looped.map((at) => (Math.min(at, count) / count) * width) as [number, number];
+      context.fillRect(from, 0, to - from, height);
+    }
     for (let column = 0; column < columns; column++) {
       const from = Math.floor((column * count) / columns);
       const to = Math.floor(((column + 1) * count) / columns);
@@ -138,8 +156,9 @@ export class Timeline {
       const psnr = frames.psnr.get(frame);
       const told = [timeText(frame / fps), `frame ${frame}`, frames.kind(frame) ?? "lost", bytesText(frames.bytes[frame])];
       if (psnr !== undefined) told.push(`${psnr.toFixed(2)} dB`);
-      this.tip.textContent = told.join("  ·  ");
+      this.told.textContent = told.join("  ·  ");
     }
+    this.thumbnails.show(frame);
     const { left, width } = this.track.getBoundingClientRect();
     this.tip.hidden = false;
     const half = this.tip.offsetWidth / 2;

@@ -27,8 +27,27 @@ vec3 harmonics(vec3 d, float sh[8 * REST_TEXELS]) {
 /** Gaussians that one instance draws: one each would cost more than their pixels, in software above all. */
 export const BATCH = 128;
 
+/** In a scene of somebody else's: farthest first, at the depth that its camera's projection gives, for light or for the screen. */
+const IN_SCENE = /* glsl */ `
+uniform vec2 depth;
+uniform float upwards;
+uniform bool linear;
+int inOrder(int place) { return count - 1 - place; }
+vec4 onScreen(vec2 at, float inverse) { return vec4(at.x, upwards * at.y, depth.x + depth.y * inverse, 1.0); }
+vec3 shown(vec3 rgb) {
+  return linear ? mix(rgb / 12.92, pow((rgb + 0.055) / 1.055, vec3(2.4)), greaterThan(rgb, vec3(0.04045))) : rgb;
+}
+`;
+
+/** On a canvas of its own: nearest first. */
+const ALONE = /* glsl */ `
+int inOrder(int place) { return place; }
+vec4 onScreen(vec2 at, float inverse) { return vec4(at, 0.0, 1.0); }
+vec3 shown(vec3 rgb) { return rgb; }
+`;
+
 /** Four corners of each Gaussian's parallelogram: in the coordinates (u, v) of its conic's Cholesky factor, a square. */
-export function splatVertexShader(shDegree: number, restTexels: number): string {
+export function splatVertexShader(shDegree: number, restTexels: number, inScene: boolean): string {
   return /* glsl */ `#version 300 es
 #define SH_DEGREE ${shDegree}
 #define REST_TEXELS ${restTexels}
@@ -47,7 +66,7 @@ uniform int overlay;
 out vec2 uv;
 flat out vec4 paint;
 flat out float cut;
-
+${inScene ? IN_SCENE : ALONE}
 mat3 turn(uint first, uint others) {
   uint fields[3] = uint[](first, others & 0xffffu, others >> 16);
   vec3 small;
@@ -81,7 +100,7 @@ void main() {
   cut = 0.0;
   int place = gl_InstanceID * ${BATCH} + (gl_VertexID >> 2);
   if (place >= count) return;
-  int index = int(texelFetch(order, ivec2(place & 2047, place >> 11), 0).r);
+  int index = int(texelFetch(order, ivec2(inOrder(place) & 2047, inOrder(place) >> 11), 0).r);
   ivec2 texel = ivec2((index & 1023) << 1, index >> 10);
   uvec4 low = texelFetch(base, texel, 0), high = texelFetch(base, texel + ivec2(1, 0), 0);
   vec3 offset = uintBitsToFloat(low.xyz) - centre;
@@ -110,7 +129,7 @@ void main() {
   uv = sqrt(bits) * vec2((gl_VertexID & 1) == 0 ? -1.0 : 1.0, (gl_VertexID & 2) == 0 ? -1.0 : 1.0);
   float dy = uv.y / r;
   vec2 pixel = middle + vec2((uv.x - q * dy) / p, dy);
-  gl_Position = vec4(vec2(2.0, -2.0) * pixel / size + vec2(-1.0, 1.0), 0.0, 1.0);
+  gl_Position = onScreen(vec2(2.0, -2.0) * pixel / size + vec2(-1.0, 1.0), inverse);
 
   vec3 rgb = 0.5 + 0.28209479177387814 * vec3(unpackHalf2x16(low.w), unpackHalf2x16(high.x).x);
 #if SH_DEGREE > 0
@@ -129,7 +148,7 @@ void main() {
 #endif
   rgb = max(rgb, 0.0);
   if (overlay != 0) rgb = told(rgb, texelFetch(heat, ivec2(index & 2047, index >> 11), 0).r);
-  paint = vec4(rgb, opacity);
+  paint = vec4(shown(rgb), opacity);
   cut = bits;
 }
 `;

@@ -7,20 +7,17 @@ import { Accumulation } from "./accumulation";
 import { GpuClock } from "./gpu_clock";
 import { linked, type Program } from "./program";
 import type { DrawTimes, Renderer, Target } from "./renderer";
-import { SceneTextures } from "./scene_textures";
+import { SplatBatches } from "./splat_batches";
 import { recordedPass } from "./recorded";
 import type { RecordedPass } from "./recorded_pass";
-import { BATCH, FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
+import { FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER } from "./shaders";
 
 /** What lives on the GPU and is lost with its context. */
 interface Resources {
-  readonly splats: Program;
+  readonly splats: SplatBatches;
   readonly finish: Program;
-  readonly textures: SceneTextures;
   readonly accumulation: Accumulation;
   readonly clock: GpuClock;
-  /** Corners of the quads of a batch. */
-  readonly corners: WebGLBuffer;
   /** Made when a recorded picture is asked for. */
   recorded: RecordedPass | null;
 }
@@ -42,7 +39,6 @@ export class WebGlRenderer implements Renderer {
   /** Red, green, blue, alpha. */
   private background: readonly number[] = [0, 0, 0, 1];
   private resources: Resources | null = null;
-  private count = 0;
 
   /** `onRestored`: the context was lost and is back; everything has to be loaded again. */
   constructor(
@@ -68,20 +64,17 @@ export class WebGlRenderer implements Renderer {
     this.release();
     this.layout = layout;
     this.background = subject ? NOTHING : [...background, 1];
-    this.count = 0;
     if (!this.gl.isContextLost()) this.resources = this.made(layout);
   }
 
   load(update: SceneUpdate): void {
     const begun = performance.now();
-    this.resources?.textures.load(update);
+    this.resources?.splats.load(update);
     this.times.uploadMs = performance.now() - begun;
   }
 
   order(draw: DrawOrder): void {
-    if (this.resources === null) return;
-    this.count = draw.count;
-    if (draw.count > 0) this.resources.textures.order(draw);
+    this.resources?.splats.order(draw);
   }
 
   draw(camera: PinholeCamera, overlay: Overlay): void {
@@ -116,15 +109,10 @@ export class WebGlRenderer implements Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  private accumulate({ accumulation, splats, textures }: Resources, camera: PinholeCamera, overlay: Overlay): void {
-    const { gl } = this;
+  private accumulate({ accumulation, splats }: Resources, camera: PinholeCamera, overlay: Overlay): void {
     accumulation.begin(camera.width, camera.height);
-    gl.useProgram(splats.program);
-    this.setCamera(splats, camera);
-    gl.uniform1i(splats.uniform("overlay"), OVERLAYS.indexOf(overlay));
-    textures.bind();
-    gl.uniform1i(splats.uniform("count"), this.count);
-    gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0, Math.ceil(this.count / BATCH));
+    splats.use();
+    splats.draw(camera, OVERLAYS.indexOf(overlay));
     accumulation.end();
   }
 
@@ -141,43 +129,21 @@ export class WebGlRenderer implements Renderer {
     this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
-  private setCamera(program: Program, camera: PinholeCamera): void {
-    const { gl } = this;
-    const uniform = (name: string): WebGLUniformLocation | null => program.uniform(name);
-    const [x, y, z] = camera.worldToCamera as readonly (readonly [number, number, number, number])[];
-    const centre = [0, 1, 2].map((axis) => -(x[axis] * x[3] + y[axis] * y[3] + z[axis] * z[3]));
-    const columns = [0, 1, 2].flatMap((axis) => [x[axis], y[axis], z[axis]]);
-    gl.uniformMatrix3fv(uniform("rotation"), false, columns);
-    gl.uniform3fv(uniform("centre"), centre);
-    gl.uniform2f(uniform("focal"), camera.fx, camera.fy);
-    gl.uniform2f(uniform("principal"), camera.cx, camera.cy);
-    gl.uniform2f(uniform("size"), camera.width, camera.height);
-    gl.uniform1f(uniform("near"), camera.near);
-  }
-
   private made(layout: TextureLayout): Resources {
     const { gl } = this;
-    const splats = linked(gl, splatVertexShader(layout.shDegree, layout.restTexels), SPLAT_FRAGMENT_SHADER);
     const finish = linked(gl, SCREEN_VERTEX_SHADER, FINISH_FRAGMENT_SHADER);
-    gl.useProgram(splats.program);
-    for (const [unit, name] of ["base", "rest", "heat", "order"].entries()) gl.uniform1i(splats.uniform(name), unit);
-    const corners = gl.createBuffer();
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, corners);
-    const quads = Array.from({ length: BATCH }, (_, quad) => [0, 1, 2, 2, 1, 3].map((corner) => 4 * quad + corner));
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint16Array.from(quads.flat()), gl.STATIC_DRAW);
-    const [textures, accumulation, clock] = [new SceneTextures(gl, layout), new Accumulation(gl), new GpuClock(gl)];
-    return { splats, finish, textures, accumulation, clock, corners, recorded: null };
+    const splats = new SplatBatches(gl, layout);
+    return { splats, finish, accumulation: new Accumulation(gl), clock: new GpuClock(gl), recorded: null };
   }
 
   private release(): void {
     if (this.resources === null) return;
-    const { splats, finish, textures, accumulation, clock, corners, recorded } = this.resources;
+    const { splats, finish, accumulation, clock, recorded } = this.resources;
     clock.stop();
     recorded?.dispose();
-    textures.dispose();
+    splats.dispose();
     accumulation.dispose();
-    for (const { program } of [splats, finish]) this.gl.deleteProgram(program);
-    this.gl.deleteBuffer(corners);
+    this.gl.deleteProgram(finish.program);
     this.resources = null;
   }
 
@@ -185,7 +151,6 @@ export class WebGlRenderer implements Renderer {
     event.preventDefault(); // else it is never given back
     this.resources?.clock.stop();
     this.resources = null;
-    this.count = 0;
     this.onLost();
   };
 

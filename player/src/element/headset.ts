@@ -1,4 +1,5 @@
 /** Headsets: whether there is one, and the scene in it; the script comes when somebody enters. */
+import { intoScene } from "../geometry/similarity";
 import type { Show, XrMode } from "../xr/show";
 import type { Pictures } from "./pictures";
 import type { Session } from "./session";
@@ -34,7 +35,7 @@ export class Headset {
       up: navigation.up,
       size: navigation.size,
       draw: (camera, target) => {
-        renderer.drawInto(camera, stage.overlay, target);
+        renderer.drawInto(intoScene(camera, stage.transform), stage.overlay, target);
       },
       sort: (depth) => {
         stage.sortFor(depth);

@@ -135,6 +135,7 @@ export class Pictures {
 
   begin(layout: TextureLayout, header: StreamHeader): void {
     this.#begun = { layout, header };
+    this.stage.transform = header.presentation.transform;
     this.stage.renderer.begin(layout, header);
   }
 

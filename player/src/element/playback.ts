@@ -1,5 +1,7 @@
 /** Time: which frame is due. As with a video, time runs on by the clock, but it waits for a decoder that cannot keep up. */
 
+import type { Span } from "../player_api";
+
 /** Frames a second where a stream does not say. */
 export const DEFAULT_FPS = 30;
 /** Frames that may be passed over at once to keep up when drawing, not decoding, is slow. */
@@ -11,6 +13,8 @@ export class Playback {
   playing = false;
   rate = 1;
   loop = false;
+  /** Frames that are played again and again, from one up to, not including, another; null: all are played. */
+  range: Span | null = null;
   ended = false;
   /** In frames; its whole part is the frame that is due. */
   position = 0;
@@ -29,6 +33,10 @@ export class Playback {
     if (!this.playing || this.frameCount === 0) return;
     const next = this.position + seconds * this.rate * this.fps;
     const most = shown + this.allowed() + 1 - 1e-3;
+    if (this.range !== null && next >= this.range[1] && this.range[1] <= this.frameCount) {
+      this.position = this.range[0];
+      return;
+    }
     this.position = next < this.frameCount ? Math.min(next, Math.max(most, this.position)) : next;
     if (this.position < this.frameCount) return;
     if (!this.complete) {

@@ -4,13 +4,14 @@
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
- * orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
+ * quality (a share of the pixels, and fewer Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
  * muted (without sound, to begin with), gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
 import { startRecorded } from "../draw/recorded";
 import type { Lens, PinholeCamera } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
+import { intoScene } from "../geometry/similarity";
 import { length, type Vector } from "../geometry/vectors";
 import type { FrameInfo } from "../messages";
 import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type PlayerApi, type Span, type View } from "../player_api";
@@ -39,7 +40,7 @@ interface Left {
 const INSIDE = Symbol.for("decogs.inside");
 
 export class DecogsPlayer extends HTMLElement implements PlayerApi {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "muted"];
+  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted"];
 
   readonly #root = this.attachShadow({ mode: "open" });
   readonly #poster = document.createElement("img");
@@ -143,6 +144,8 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (name === "orbit") this.#sway();
     if (name === "muted") this.muted = value !== null;
     if (name === "limits") this.#limit();
+    if (name === "quality") this.#chooseQuality();
+    if (name === "range") this.#session.playback.range = spanOf(value);
     if (name === "camera" && value !== null) this.camera = value;
     this.#late.panels?.refresh();
   }
@@ -176,6 +179,21 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
   set loop(value: boolean) {
     this.toggleAttribute("loop", value);
+  }
+  get range(): Span | null {
+    return this.#session.playback.range;
+  }
+  set range(value: Span | null) {
+    if (value === null) this.removeAttribute("range");
+    else this.setAttribute("range", `${value[0]}:${value[1]}`);
+  }
+  get quality(): number {
+    const share = Number(this.getAttribute("quality") ?? 1);
+    return share > 0 && share <= 1 ? share : 1;
+  }
+  set quality(value: number) {
+    if (!(value > 0 && value <= 1)) throw new RangeError("quality must be above 0 and at most 1");
+    this.setAttribute("quality", String(value));
   }
   get recorded(): boolean {
     return this.hasAttribute("recorded");
@@ -357,6 +375,20 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return picture;
   }
 
+  async thumbnail(frame: number, width: number): Promise<ImageData | null> {
+    if (this.#pictures === null || this.info === null) return null;
+    const { stage } = this.#pictures;
+    const { clientWidth, clientHeight } = this;
+    const camera = stage.camera(width, Math.max(1, Math.round((width * clientHeight) / Math.max(1, clientWidth))));
+    const picture = await this.#session.still(frame, intoScene({ ...camera, recording: null }, stage.transform));
+    return picture && new ImageData(picture.pixels, picture.width, picture.height);
+  }
+
+  async ply(): Promise<Blob> {
+    if (this.info === null) throw new Error("there is no frame yet");
+    return new Blob([await this.#session.ply()], { type: "application/octet-stream" });
+  }
+
   lookThrough(index: number, atOnce = false): void {
     if (this.#cameras?.lookThrough(index, atOnce) === true) this.#cameraPut();
   }
@@ -518,6 +550,14 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     this.#startView = this.#left = null;
     this.#limit();
     this.#sway();
+    if (this.quality < 1) this.#chooseQuality();
+  }
+
+  #chooseQuality(): void {
+    if (this.#pictures === null) return;
+    this.#pictures.stage.quality = this.quality;
+    this.#session.send({ type: "detail", share: (1 + this.quality) / 2 }); // Gaussians are missed sooner than pixels
+    this.#touch();
   }
 
   #limit(): void {
@@ -580,4 +620,12 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
       this.#pausedByHiding = true;
     } else if (this.#pausedByHiding) this.play().catch(() => undefined);
   };
+}
+
+/** Frames A:B, as commands have them; null for what is none. */
+function spanOf(text: string | null): Span | null {
+  const found = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
+  if (found === null) return null;
+  const [from, to] = [Number(found[1]), Number(found[2])];
+  return from < to ? [from, to] : null;
 }

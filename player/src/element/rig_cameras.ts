@@ -34,9 +34,11 @@ export class RigCameras {
     return this.header.cameras.findIndex((camera) => camera.name === name);
   }
 
-  /** The first that was not held out. */
+  /** The one that the stream wants to begin with, or the first that was not held out. */
   get first(): number {
-    return Math.max(0, this.header.cameras.findIndex(({ name }) => !this.header.heldOut.includes(name)));
+    const { cameras, heldOut, presentation } = this.header;
+    const { firstView } = presentation;
+    return Math.max(0, cameras.findIndex(({ name }) => (firstView === null ? !heldOut.includes(name) : name === firstView)));
   }
 
   /** Whether there is such a camera. */

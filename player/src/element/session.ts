@@ -1,10 +1,11 @@
 /** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
-import type { FrameInfo, FromWorker, ToWorker } from "../messages";
+import type { PinholeCamera } from "../geometry/camera";
+import { inItsWorld } from "../geometry/similarity";
+import type { DrawOrder, ExactPicture, FrameInfo, FromWorker, SceneUpdate, TextureLayout, ToWorker } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Connection, FrameColumns } from "./connection";
 import type { PlayerEvent } from "./events";
 import type { Span } from "../player_api";
-import type { Pictures } from "./pictures";
 import { DEFAULT_FPS, Playback } from "./playback";
 import { LateSound } from "../sound/late";
 
@@ -16,6 +17,17 @@ const ENOUGH_SECONDS = 1;
 
 /** Where to begin: set before the header has come. */
 export type Start = { readonly seconds: number } | { readonly frame: number };
+
+/** What draws a stream: the element's pictures, or a scene of somebody else's. */
+export interface Drawing {
+  begin(layout: TextureLayout, header: StreamHeader): void;
+  exactlyDrawn(picture: ExactPicture | null): void;
+  readonly stage: {
+    begin(): void;
+    load(update: SceneUpdate | null, draw: DrawOrder): void;
+    order(draw: DrawOrder): void;
+  };
+}
 
 export interface SessionHost {
   readonly tell: (name: PlayerEvent) => void;
@@ -57,13 +69,15 @@ export class Session {
     },
   );
   #connection: Connection | null = null;
-  #pictures: Pictures | null = null;
+  #pictures: Drawing | null = null;
   #follow = false;
   #requested = -1;
   #requests = 0;
   #seekRequest = -1;
   /** A frame asked for that is not known yet; -1 for none. */
   #seekLater = -1;
+  /** The frame that stands for the stream until somebody plays it or goes elsewhere; -1: none does. */
+  #standIn = -1;
   #followTimer = 0;
   #lateTimer = 0;
   #busy = false;
@@ -72,10 +86,14 @@ export class Session {
   /** Those who wait until playing has begun. */
   #beginnings: { readonly begun: () => void; readonly refused: (reason: DOMException) => void }[] = [];
   #notice: string | null = null;
+  /** Those who wait for pictures of keyframes. */
+  #stillAsked: ((picture: ExactPicture | null) => void)[] = [];
+  /** Those who wait for the frame as a .ply. */
+  #plyAsked: { readonly given: (bytes: Uint8Array<ArrayBuffer>) => void; readonly refused: (reason: Error) => void }[] = [];
 
   constructor(private readonly host: SessionHost) {}
 
-  open(source: string, follow: boolean, pictures: Pictures): void {
+  open(source: string, follow: boolean, pictures: Drawing): void {
     this.#pictures = pictures;
     this.#follow = follow;
     this.host.loading(true);
@@ -103,6 +121,8 @@ export class Session {
     const playing = this.#connection === null && this.playback.playing;
     this.#connection?.close();
     this.#connection = null;
+    for (const given of this.#stillAsked.splice(0)) given(null);
+    for (const { refused } of this.#plyAsked.splice(0)) refused(new Error("the stream was closed"));
     this.sound.close();
     if (!playing) this.#refuse("AbortError", "another stream was opened, or the player has left the page");
     const emptied = this.header !== null;
@@ -112,7 +132,7 @@ export class Session {
     this.#setBusy(false);
     this.warn();
     this.frames = new FrameColumns();
-    this.#requested = this.#seekRequest = this.#seekLater = -1;
+    this.#requested = this.#seekRequest = this.#seekLater = this.#standIn = -1;
     this.bytesRead = 0;
     Object.assign(this.playback, { playing, ended: false, position: 0, frameCount: 0, complete: false });
     if (emptied) this.host.tell("emptied");
@@ -143,7 +163,8 @@ export class Session {
     if (!this.waiting && this.info !== null) playback.advance(passed, this.info.frame);
     if (playback.playing && !this.waiting && this.info !== null && !this.seeking) this.sound.keep(playback);
     else this.sound.rest();
-    if (playback.frameCount > 0 && playback.due !== this.#requested) this.#request(playback.due);
+    const shown = this.#standsIn ?? playback.due;
+    if (playback.frameCount > 0 && shown !== this.#requested) this.#request(shown);
     if (!wasPlaying || !playback.ended) return;
     this.host.tell("pause");
     this.host.tell("ended");
@@ -154,7 +175,7 @@ export class Session {
     const { playback } = this;
     if (this.error !== null) this.#again();
     if (!playback.playing) {
-      if (playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
+      if (this.#standIn >= 0 || playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
       playback.playing = true;
       playback.ended = false;
       this.sound.begin();
@@ -165,6 +186,22 @@ export class Session {
     if (this.#begun) return Promise.resolve();
     return new Promise((begun, refused) => {
       this.#beginnings.push({ begun, refused });
+    });
+  }
+
+  /** A picture of the keyframe at or before a frame; null where there is none. */
+  still(frame: number, camera: PinholeCamera): Promise<ExactPicture | null> {
+    return new Promise((given) => {
+      this.#stillAsked.push(given);
+      this.send({ type: "still", frame, camera });
+    });
+  }
+
+  /** The frame in the picture as a .ply of 3D Gaussians. */
+  ply(): Promise<Uint8Array<ArrayBuffer>> {
+    return new Promise((given, refused) => {
+      this.#plyAsked.push({ given, refused });
+      this.send({ type: "ply" });
     });
   }
 
@@ -184,6 +221,7 @@ export class Session {
     this.#seekLater = frame >= playback.frameCount && !playback.complete ? frame : -1;
     playback.position = Math.max(0, Math.min(frame, playback.complete ? playback.frameCount : playback.frameCount - 1));
     playback.ended = false;
+    this.#standIn = -1;
     this.host.tell("seeking");
     this.#seekRequest = this.#requests + 1;
     this.#request(playback.due);
@@ -231,6 +269,15 @@ export class Session {
         this.#pictures!.exactlyDrawn(message.picture);
         if (message.problem !== null) this.notice(message.problem);
         break;
+      case "still":
+        this.#stillAsked.shift()?.(message.picture);
+        break;
+      case "ply":
+        for (const { given, refused } of this.#plyAsked.splice(0, 1)) {
+          if (message.bytes === null) refused(new Error(message.problem));
+          else given(message.bytes);
+        }
+        break;
       case "sound":
         this.sound.receive(message);
         break;
@@ -247,9 +294,9 @@ export class Session {
     this.host.wake();
   }
 
-  #opened({ header, layout, frames, complete }: Extract<FromWorker, { type: "opened" }>): void {
+  #opened({ header: stored, layout, frames, complete }: Extract<FromWorker, { type: "opened" }>): void {
     const { stage } = this.#pictures!;
-    this.header = header;
+    const header = (this.header = inItsWorld(stored));
     this.frames.append(frames);
     this.playback.fps = header.fps ?? DEFAULT_FPS;
     this.#pictures!.begin(layout, header);
@@ -258,6 +305,7 @@ export class Session {
     stage.begin();
     const { start } = this;
     this.start = null;
+    if (start === null && !this.host.autoplay()) this.#standIn = header.presentation.poster ?? -1;
     this.#grown(complete);
     if (start !== null) this.seek("frame" in start ? start.frame : start.seconds * this.playback.fps);
     this.host.tell("loadedmetadata");
@@ -328,6 +376,12 @@ export class Session {
     const buffers = arrays.flatMap((array) => (array ? [array.buffer as ArrayBuffer] : []));
     const whole = buffers.filter((buffer) => buffer.byteLength > 0);
     this.#connection?.send({ type: "recycle", buffers: whole }, whole);
+  }
+
+  /** null before it is known that there is such a frame. */
+  get #standsIn(): number | null {
+    const { frameCount, complete } = this.playback;
+    return this.#standIn >= 0 && (complete || frameCount > this.#standIn) ? Math.min(this.#standIn, frameCount - 1) : null;
   }
 
   get #begun(): boolean {

@@ -7,6 +7,7 @@ import type { Renderer } from "../draw/renderer";
 import type { PinholeCamera } from "../geometry/camera";
 import { fittedLens, worldToCamera } from "../geometry/poses";
 import { asItStood, recordingOf } from "../geometry/recorded";
+import { intoScene, rowIntoScene, type Similarity } from "../geometry/similarity";
 import type { DepthRow, DrawOrder, SceneUpdate } from "../messages";
 import type { Overlay } from "../player_api";
 import type { CameraCorrection, RigCamera } from "../scene";
@@ -29,6 +30,10 @@ export interface LookedThrough {
 export class Stage {
   readonly navigation = new Navigation();
   overlay: Overlay = "none";
+  /** From the scene that the renderer has to the world of all cameras here; null where they are one. */
+  transform: Similarity | null = null;
+  /** Of the element's pixels, so large a share is drawn, if not less. */
+  quality = 1;
   drawnAt: number[] = [];
   private scale = 1;
   /** Of the picture that was timed last; and the one before that was shrunk, with what it took. */
@@ -61,9 +66,10 @@ export class Stage {
     return this.drawing;
   }
 
-  /** Another one may be slow elsewhere. */
+  /** Another one may be slow elsewhere. It has the scene once the next order has come. */
   set renderer(renderer: Renderer) {
     this.drawing = renderer;
+    this.ordered = false;
     this.scale = 1;
     this.futile = false;
     this.larger = null;
@@ -147,13 +153,13 @@ export class Stage {
 
   /** A picture of the present view of so many pixels, as PNG. */
   async capture(width: number, height: number): Promise<Blob> {
-    const { renderer } = this;
     this.look();
-    while (this.answered < this.serial) {
+    while (!this.ordered || this.answered < this.serial) {
       if (this.disposed) throw new Error("the player has left the page");
       await new Promise((done) => setTimeout(done, 5));
     }
-    renderer.draw(this.camera(width, height), this.overlay);
+    const { renderer } = this;
+    this.drawSized(width, height);
     await renderer.settled?.();
     const blob = new Promise<Blob | null>((done) => {
       renderer.canvas.toBlob(done, "image/png");
@@ -175,7 +181,8 @@ export class Stage {
   }
 
   /** Asks for the order of a view, if another one than before. */
-  sortFor(row: DepthRow): void {
+  sortFor(worldRow: DepthRow): void {
+    const row = rowIntoScene(worldRow, this.transform);
     if (this.asked?.every((part, i) => part === row[i]) || this.answered < this.serial) return;
     this.asked = row;
     this.askOrder(row, ++this.serial);
@@ -183,8 +190,13 @@ export class Stage {
 
   private drawNow(scale: number): void {
     const { width, height } = this.sizeOf();
-    const side = (length: number): number => Math.max(1, Math.min(LARGEST_SIDE, Math.round(length * scale)));
-    this.renderer.draw(this.camera(side(width), side(height)), this.overlay);
+    const shrunk = scale * Math.sqrt(this.quality);
+    const side = (length: number): number => Math.max(1, Math.min(LARGEST_SIDE, Math.round(length * shrunk)));
+    this.drawSized(side(width), side(height));
+  }
+
+  private drawSized(width: number, height: number): void {
+    this.renderer.draw(intoScene(this.camera(width, height), this.transform), this.overlay);
   }
 
   /** Smaller pictures while that helps: where Gaussians, not pixels, take the time, it would only blur. */

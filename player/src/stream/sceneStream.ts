@@ -5,7 +5,7 @@ import { DEFAULT_LIMITS, type Limits } from "../container/limits";
 import { startZstd } from "../entropy/zstd";
 import { KIND, type PacketHeader } from "../container/packets";
 import { readSoundPacket } from "../sound/packets";
-import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, SoundPacket, StreamHeader } from "../scene";
+import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, SoundPacket, Still, StreamHeader } from "../scene";
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
 import { BlobFeed } from "./blob";
 import { CachedSource } from "./cache";
@@ -92,6 +92,8 @@ class OpenStream implements SceneStream {
   /** The frame that was asked for last. */
   private target = -1;
   private readonly decoder: Decoder;
+  /** For keyframes that are looked at while another frame is shown. */
+  private aside: Decoder | null = null;
   private readonly changes = new Changes();
   private readonly ages = new Ages();
   private readonly walked = new FrameTable();
@@ -192,6 +194,18 @@ class OpenStream implements SceneStream {
 
   frame(index: number, signal?: AbortSignal): Promise<SceneFrame> {
     return this.inTurn(() => this.show(index, signal));
+  }
+
+  async keyframe(index: number): Promise<Still> {
+    this.checkOpen();
+    await startZstd();
+    const key = (await this.isKnown(index)) ? this.table.keyAt(index) : null;
+    if (key === null) throw new StreamError("missing-key", `frame ${index} needs a keyframe before it`);
+    const { payload, ...packet } = await this.packet(key);
+    const aside = (this.aside ??= new Decoder(this.header, this.limits));
+    if (aside.refersToFirst(payload) && !aside.hasFirst) aside.keepFirst((await this.packet(0)).payload);
+    aside.apply({ ...packet, payload }, true);
+    return { frame: key, gaussians: aside.gaussians };
   }
 
   async prefetch(from: number): Promise<void> {

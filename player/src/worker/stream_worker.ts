@@ -1,15 +1,18 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { SceneFrame, SceneStream } from "../scene";
-import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
+import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type ExactPicture, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
+import { Detail } from "./detail";
 import { DepthSorter } from "./depth_order";
+import type { plyOf } from "../export/ply";
 import type { ExactPictures, LoadKernel } from "./exact_pictures";
 import { PackedScene } from "./packed_scene";
 import { textureLayout } from "./packing";
 
 export type OpenStream = (source: string, options: { readonly follow: boolean; readonly ahead: true; readonly onChange: () => void }) => Promise<SceneStream>;
+type PlyMaker = typeof plyOf;
 export type Send = (message: FromWorker, transfer?: Transferable[]) => void;
 
 const PROGRESS_MS = 100;
@@ -25,7 +28,10 @@ export class StreamWorker {
   private exact: ExactPictures | null = null;
   private kernel: ExactRenderer | null = null;
   private exactCamera: PinholeCamera | null = null;
+  /** What makes a .ply, while one is asked for. */
+  private plyMaker: PlyMaker | null = null;
   private readonly sorter = new DepthSorter();
+  private readonly detail = new Detail();
   private told = { frames: 0, metrics: 0, state: "" };
   private progressTimer: ReturnType<typeof setTimeout> | null = null;
   /** The frame that is read or decoded; null when none is. */
@@ -58,6 +64,10 @@ export class StreamWorker {
         this.view = message;
         this.sortSoon();
         return;
+      case "detail":
+        this.detail.share = message.share;
+        this.sortSoon();
+        return;
       case "refresh":
         void this.refresh();
         return;
@@ -69,6 +79,12 @@ export class StreamWorker {
         return;
       case "exact":
         void this.drawExactly(message.camera);
+        return;
+      case "still":
+        void this.drawStill(message.frame, message.camera);
+        return;
+      case "ply":
+        void this.givePly();
         return;
       case "sound":
         void this.giveSound(message.from, message.to, message.request);
@@ -129,7 +145,7 @@ export class StreamWorker {
         if (request === 0 && frame >= stream.frames.length) this.send({ type: "notYet" });
         else if (!this.abort.signal.aborted) this.send({ type: "failed", request, message: sentence(error) });
       }
-      this.drawHeld();
+      this.answerHeld();
     }
     this.awaited = null;
     this.busy = false;
@@ -175,15 +191,51 @@ export class StreamWorker {
   /** Between two frames only: while one is decoded, the scene is neither this nor that. */
   private async drawExactly(camera: PinholeCamera): Promise<void> {
     try {
-      const { ExactPictures } = await import("./exact_pictures");
-      this.exact ??= new ExactPictures(this.loadKernel);
-      this.kernel = await this.exact.ready();
+      await this.startKernel();
     } catch (error) {
       this.send({ type: "exact", picture: null, problem: sentence(error) });
       return;
     }
     this.exactCamera = camera;
-    if (!this.busy) this.drawHeld();
+    if (!this.busy) this.answerHeld();
+  }
+
+  private async startKernel(): Promise<{ readonly exact: ExactPictures; readonly kernel: ExactRenderer }> {
+    const { ExactPictures } = await import("./exact_pictures");
+    const exact = (this.exact ??= new ExactPictures(this.loadKernel));
+    const kernel = (this.kernel = await exact.ready());
+    return { exact, kernel };
+  }
+
+  private async drawStill(frame: number, camera: PinholeCamera): Promise<void> {
+    let picture: ExactPicture | null = null;
+    try {
+      const { exact, kernel } = await this.startKernel();
+      const { stream } = this;
+      if (stream !== null) picture = exact.draw(kernel, (await stream.keyframe(frame)).gaussians, stream.header, camera);
+    } catch {
+      // A picture on the timeline is not worth a word; the frame itself will say what is wrong.
+    }
+    this.send({ type: "still", picture }, picture === null ? [] : [picture.pixels.buffer]);
+  }
+
+  private async givePly(): Promise<void> {
+    try {
+      this.plyMaker = (await import("../export/ply")).plyOf;
+      if (!this.busy) this.answerHeld();
+    } catch (error) {
+      this.send({ type: "ply", bytes: null, problem: sentence(error) });
+    }
+  }
+
+  /** What was asked for while a frame was decoded. */
+  private answerHeld(): void {
+    this.drawHeld();
+    const { plyMaker, frame, stream } = this;
+    if (plyMaker === null || frame === null || stream === null) return;
+    this.plyMaker = null;
+    const bytes = plyMaker(frame.gaussians, stream.header);
+    this.send({ type: "ply", bytes, problem: "" }, [bytes.buffer]);
   }
 
   private drawHeld(): void {
@@ -220,7 +272,7 @@ export class StreamWorker {
     const begun = performance.now();
     const { means, count } = this.frame.gaussians;
     const order = this.buffers.words(TEXTURE_WIDTH * textureLines(count, 1));
-    const drawn = this.sorter.sort(means, count, this.view.depth, order);
+    const drawn = this.detail.thin(this.frame, order, this.sorter.sort(means, count, this.view.depth, order));
     return { order, count: drawn, sortMs: performance.now() - begun, serial: this.view.serial };
   }
 

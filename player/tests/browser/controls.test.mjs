@@ -1,7 +1,7 @@
 // Hands on: mouse, keys, the bar and its menu, cameras of the rig, overlays, small screens.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { ready, show, started, until } from "./harness.mjs";
+import { picture, pixelsOf, psnr, ready, show, started, until } from "./harness.mjs";
 
 let browser;
 before(async () => (browser = await started()));
@@ -52,6 +52,68 @@ test("dragging circles the pivot, upright, the near side going with the hand", a
   const back = await state(page);
   assert.ok(distance(back.centre, before.centre) < 1e-9);
   assert.equal(back.camera, before.camera);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("the timeline shows the keyframe below the pointer, from where the scene is looked at", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400, query: "&camera=turned" });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null && player.bufferedFrames.some(([from, to]) => from <= 120 && to > 120)");
+  const box = await page.locator(".timeline").boundingBox();
+  await page.mouse.move(box.x + (box.width * 130.5) / 300, box.y + box.height / 2);
+  await until(page, "!player.shadowRoot.querySelector('.tip canvas').hidden");
+  assert.equal(await page.evaluate(() => document.querySelector("decogs-player").info.frame), 0);
+  const found = await pixelsOf(page, await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector(".tip canvas").toDataURL()));
+  assert.equal(found.width, 160);
+  await show(page, 120);
+  const decibels = psnr(found, await picture(page, found.width, found.height));
+  assert.ok(decibels > 40, `${decibels.toFixed(1)} dB`);
+  // It belongs to the view.
+  await page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    globalThis.before = player.shadowRoot.querySelector(".tip canvas").toDataURL();
+    player.camera = "cam00";
+  });
+  await until(page, "!inside.stage.navigation.jumping");
+  await page.mouse.move(box.x + (box.width * 131.5) / 300, box.y + box.height / 2);
+  await until(page, "player.shadowRoot.querySelector('.tip canvas').toDataURL() !== globalThis.before");
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("a lower quality draws fewer pixels and fewer Gaussians, those that cover least left out", async () => {
+  const page = await browser.opened("degree1", { width: 640, height: 400, query: "&quality=0.5" });
+  await ready(page);
+  await until(page, "player.figures?.width === 453 && player.figures.height === 283 && player.shadowRoot.querySelector('.bar') !== null");
+  await show(page, 3);
+  const figures = () => page.evaluate(() => document.querySelector("decogs-player").figures);
+  const half = await figures();
+  const thinned = await picture(page, 320, 200);
+  await page.locator("[name=menu]").click();
+  assert.equal(await page.locator("[name=quality]").inputValue(), "0.5");
+  await page.locator("[name=quality]").selectOption("1");
+  await until(page, `player.figures.width === 640 && player.figures.drawn > ${half.drawn}`);
+  const whole = await figures();
+  assert.ok(half.drawn > 0.65 * whole.drawn && half.drawn < 0.9 * whole.drawn, `${half.drawn} of ${whole.drawn}`);
+  const decibels = psnr(thinned, await picture(page, 320, 200));
+  assert.ok(decibels > 24 && decibels < 60, `${decibels.toFixed(1)} dB`);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("X marks a loop, whichever end comes first", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400 });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null");
+  const range = () => page.evaluate(() => document.querySelector("decogs-player").range);
+  await show(page, 8);
+  await page.keyboard.press("x");
+  await show(page, 3);
+  await page.keyboard.press("x");
+  assert.deepEqual(await range(), [3, 9]);
+  await page.keyboard.press("x");
+  assert.equal(await range(), null);
   assert.deepEqual(page.complaints, []);
   await page.context().close();
 });

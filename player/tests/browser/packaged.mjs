@@ -12,13 +12,15 @@ page.on("pageerror", (error) => complaints.push(String(error)));
 await page.goto(`${server.address}/app/index.html`);
 await page.waitForFunction(() => {
   const player = document.querySelector("decogs-player");
+  const { error, info } = globalThis.inScene ?? {};
+  if (error == null && info == null) return false;
   return player.error !== null || (player.info !== null && player.shadowRoot.querySelector(".bar") !== null);
 });
 const told = await page.evaluate(async () => {
   const player = document.querySelector("decogs-player");
   player.exact = true;
   await player.capture(64, 48); // by the kernel, which is a file of its own
-  return { frame: player.info.frame, exact: player.exact, controls: player.shadowRoot.querySelector(".bar") !== null, error: player.error };
+  return { frame: player.info.frame, exact: player.exact, controls: player.shadowRoot.querySelector(".bar") !== null, error: player.error, inScene: globalThis.inScene.info?.frame ?? globalThis.inScene.error };
 });
 console.log(JSON.stringify({ ...told, complaints }));
 await browser.close();

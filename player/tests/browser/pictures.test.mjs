@@ -9,13 +9,13 @@ before(async () => (browser = await started()));
 after(() => browser.close());
 
 const { pictures } = listed();
-// Recorded pictures come from the decoder's kernel, too: its floats are the decoder's, the lens and colours are not.
-const cases = pictures.flatMap((each) => (each.recorded ? [each, { ...each, exact: true }] : [each]));
+// Recorded pictures, and those of a stream that is shown elsewhere than it is stored, come from the decoder's kernel, too.
+const cases = pictures.flatMap((each) => (each.recorded || each.stream.startsWith("shown") ? [each, { ...each, exact: true }] : [each]));
 for (const { stream, frame, camera, pose, file, recorded, exact } of cases) {
   const kind = `${recorded ? ", as recorded" : ""}${exact ? ", exact" : ""}`;
   test(`${stream}, frame ${frame}, ${camera ?? "a free camera"}${kind}`, async (context) => {
     const more = `${recorded ? "&recorded" : ""}${exact ? "&exact" : ""}`;
-    const query = camera === null ? "" : `&camera=${encodeURIComponent(camera)}${more}`;
+    const query = camera === null ? more : `&camera=${encodeURIComponent(camera)}${more}`;
     const page = await browser.opened(stream, { query });
     await ready(page);
     await show(page, frame);
@@ -107,5 +107,21 @@ test("where WebGL is software, the kernel draws by itself; overlays, and who wan
   assert.equal(await exact(), false);
   await until(page, "!inside.stage.pending && !inside.stage.renderer.busy");
   assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("a picture that is saved right after another renderer was chosen is whole", async () => {
+  const page = await browser.opened("degree1", { automatic: true });
+  await ready(page);
+  await show(page, 3);
+  const { file } = pictures.find(({ stream, frame, camera }) => stream === "degree1" && frame === 3 && camera === "cam00");
+  const expected = await filed(page, file);
+  for (const exact of [false, true, false]) {
+    await page.evaluate((exact) => {
+      document.querySelector("decogs-player").exact = exact;
+    }, exact);
+    const decibels = psnr(await picture(page, expected.width, expected.height), expected);
+    assert.ok(decibels >= LEAST_DB, `${decibels.toFixed(2)} dB, exact ${exact}`);
+  }
   await page.context().close();
 });

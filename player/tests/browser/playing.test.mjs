@@ -35,6 +35,35 @@ for (const ranges of [true, false]) {
   });
 }
 
+test("a range of frames is played again and again", async () => {
+  const page = await browser.opened("long", { query: "&range=5:9" });
+  await ready(page);
+  const frames = await page.evaluate(async () => {
+    const player = document.querySelector("decogs-player");
+    player.currentFrame = 5;
+    const seen = [];
+    await new Promise((done) => {
+      player.addEventListener("timeupdate", () => {
+        seen.push(player.info.frame);
+        // Round twice: a later frame comes before an earlier one.
+        if (seen.filter((frame, i) => i > 0 && frame < seen[i - 1]).length === 3) done();
+      });
+      player.play();
+    });
+    return { seen, paused: player.paused, range: player.range };
+  });
+  assert.deepEqual(frames.range, [5, 9]);
+  assert.equal(frames.paused, false);
+  const inside = frames.seen.slice(frames.seen.indexOf(5));
+  assert.ok(inside.every((frame) => frame >= 5 && frame < 9), `${inside}`);
+  await page.evaluate(() => (document.querySelector("decogs-player").range = null));
+  await until(page, "player.info.frame > 9");
+  for (const wrong of ["9:5", "1", "a:b", "-1:3"]) {
+    assert.equal(await page.evaluate((text) => { const player = document.querySelector("decogs-player"); player.setAttribute("range", text); return player.range; }, wrong), null);
+  }
+  await page.context().close();
+});
+
 test("a time that is set before the header has come is where playing begins", async () => {
   const page = await browser.opened("long");
   await ready(page);

@@ -11,7 +11,7 @@ before(async () => (browser = await started()));
 after(() => browser.close());
 
 /** A page with a headset, and a view that is level and asymmetric enough to tell eyes apart. */
-async function withHeadset(stereo) {
+async function withHeadset(stereo, stream = "degree1") {
   const page = await browser.opened("none", { width: 640, height: 480 });
   const begin = (stereo) => {
     const { XRDevice, metaQuest3 } = globalThis.IWER;
@@ -30,7 +30,7 @@ async function withHeadset(stereo) {
     };
   };
   await page.addInitScript({ content: `${readFileSync(IWER, "utf8")}\n(${begin})(${stereo});` });
-  await page.goto(`${browser.server.address}/page/index.html?src=/data/degree1.dgs&exact=off`);
+  await page.goto(`${browser.server.address}/page/index.html?src=/data/${stream}.dgs&exact=off`);
   page.complaints.length = 0;
   await ready(page);
   return page;
@@ -79,12 +79,22 @@ const eyes = (page) =>
     return Promise.all(await frames(4));
   });
 
-for (const stereo of [false, true]) {
-  test(`${stereo ? "two eyes see" : "one eye sees"} what a camera in their place sees`, async () => {
-    const page = await withHeadset(stereo);
+/** So many metres to the right, up and back of where somebody began. */
+function aside({ pose: { axes, centre }, size }, metres) {
+  const units = metres.map((value, i) => ((size / 2.5) * value) * (i === 0 ? 1 : -1));
+  return centre.map((value, i) => value + units.reduce((sum, unit, k) => sum + unit * axes[k][i], 0));
+}
+
+for (const [stereo, stream] of [[false, "degree1"], [true, "degree1"], [false, "shown0"]]) {
+  test(`${stereo ? "two eyes see" : "one eye sees"} of ${stream} what a camera in their place sees`, async () => {
+    const page = await withHeadset(stereo, stream);
     const start = await page.evaluate(async () => {
       const player = document.querySelector("decogs-player");
-      player.lookFrom({ axes: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], centre: [0.1, -0.1, -0.2] }, player.view.lens);
+      // A camera that stands level in the scene as it is stored, in the world that it is shown in.
+      const { rotation: r, scale, shift } = player.header.presentation.transform ?? { rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], scale: 1, shift: [0, 0, 0] };
+      const axes = [0, 1, 2].map((column) => r.map((row) => row[column]));
+      const centre = r.map((row, i) => scale * (0.1 * row[0] - 0.1 * row[1] - 0.2 * row[2]) + shift[i]);
+      player.lookFrom({ axes, centre }, player.view.lens);
       const { size } = player[Symbol.for("decogs.inside")].stage.navigation;
       await player.enterXr("immersive-vr");
       return { size, ...player.view };
@@ -95,17 +105,17 @@ for (const stereo of [false, true]) {
     await page.evaluate(() => document.querySelector("decogs-player").leaveXr());
     const head = seen.reduce((sum, { position }) => sum.map((value, i) => value + position[i] / seen.length), [0, 0, 0]);
     for (const { width, height, projection: p, position, png } of seen) {
-      const expected = await page.evaluate(async ({ p, width, height, centre }) => {
+      const expected = await page.evaluate(async ({ p, width, height, centre, axes }) => {
         const player = document.querySelector("decogs-player");
         const lens = { width, height, fx: (p[0] * width) / 2, fy: (p[5] * height) / 2, cx: ((1 - p[8]) * width) / 2, cy: ((1 + p[9]) * height) / 2, near: 0 };
-        player.lookFrom({ axes: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], centre }, lens);
+        player.lookFrom({ axes, centre }, lens);
         const blob = await player.capture(width, height);
         return new Promise((done) => {
           const reader = new FileReader();
           reader.onload = () => done(reader.result);
           reader.readAsDataURL(blob);
         });
-      }, { p, width, height, centre: start.pose.centre.map((value, i) => value + ((start.size / 2.5) * (position[i] - head[i])) * (i === 0 ? 1 : -1)) });
+      }, { p, width, height, centre: aside(start, position.map((value, i) => value - head[i])), axes: start.pose.axes });
       const decibels = psnr(await pixelsOf(page, png), await pixelsOf(page, expected));
       // The near planes differ by Gaussians that almost touch the eyes.
       assert.ok(decibels > 40, `${decibels.toFixed(1)} dB`);

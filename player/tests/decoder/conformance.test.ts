@@ -6,7 +6,8 @@ import { REASONS } from "../../src/container/errors";
 import { DEFAULT_LIMITS } from "../../src/container/limits";
 import { startZstd } from "../../src/entropy/zstd";
 import { readInOrder } from "./inOrder";
-import { EXPECTED, vector } from "./vectors";
+import type { Presentation } from "../../src/scene";
+import { EXPECTED, vector, type Expected } from "./vectors";
 
 before(startZstd);
 
@@ -22,7 +23,18 @@ for (const [name, expected] of Object.entries(EXPECTED)) {
     assert.equal(outcome.failure?.packet ?? null, failure?.packet ?? null);
     assert.deepEqual(outcome.frames, expected.frames);
     assert.deepEqual(outcome.indexes, expected.indexes ?? []);
+    if (outcome.header !== null) checkPresentation(outcome.header.presentation, expected.presentation ?? {});
     if (failure !== null) assert.equal(outcome.failure?.offset, failure.offset);
+  });
+}
+
+function checkPresentation({ title, poster, firstView, transform }: Presentation, told: NonNullable<Expected["presentation"]>): void {
+  assert.deepEqual([title, poster, firstView], [told.title ?? "", told.poster ?? null, told.first_view ?? null]);
+  const rows = transform?.rotation.map((row, i) => [...row.map((value) => value * transform.scale), transform.shift[i]]);
+  assert.equal(rows === undefined, told.transform === undefined);
+  // A factor is divided out and multiplied again.
+  rows?.flat().forEach((value, i) => {
+    assert.ok(Math.abs(value - told.transform!.flat()[i]) <= 1e-15 * transform!.scale);
   });
 }
 

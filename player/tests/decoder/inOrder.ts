@@ -26,6 +26,7 @@ export interface Outcome {
   readonly frames: ExpectedFrame[];
   readonly failure: StreamError | null;
   readonly indexes: boolean[];
+  readonly header: StreamHeader | null;
 }
 
 interface Reading {
@@ -45,7 +46,7 @@ export function readInOrder(data: Uint8Array, limits: Limits = DEFAULT_LIMITS): 
     if (!(error instanceof StreamError)) throw error;
     failure = error;
   }
-  return { frames: reading.frames, failure, indexes: reading.indexes };
+  return { frames: reading.frames, failure, indexes: reading.indexes, header: reading.header };
 }
 
 function readPackets(data: Uint8Array, limits: Limits, reading: Reading): void {

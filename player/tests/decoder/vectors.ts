@@ -16,6 +16,7 @@ export interface Expected {
   failure: { reason: string; packet: number | null; offset: number } | null;
   limits?: { payload_bytes: number; gaussians: number };
   indexes?: boolean[];
+  presentation?: { title?: string; poster?: number; first_view?: string; transform?: number[][] };
 }
 
 export const REPOSITORY = process.env["DECOGS_REPOSITORY"] ?? "..";
