@@ -54,7 +54,7 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
       player.nextCamera(key === "[" ? -1 : 1);
     },
   },
-  { keys: ["v"], shown: "V", text: "sound on or off", act: (player) => { player.muted = !player.muted; } },
+  { keys: ["m"], shown: "M", text: "sound on or off", act: (player) => { player.muted = !player.muted; } },
   { keys: ["r"], shown: "R", text: "back to the camera", act: (player) => { player.backToCamera(); } },
   {
     keys: ["-", "+", "="],

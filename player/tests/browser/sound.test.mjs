@@ -174,7 +174,7 @@ test("volume and mute, by the bar, by keys and by the page", async () => {
   assert.deepEqual(await told(), [false, 1]);
   await page.click("[name=mute]");
   assert.deepEqual(await told(), [true, 1]);
-  await page.keyboard.press("v");
+  await page.keyboard.press("m");
   assert.deepEqual(await told(), [false, 1]);
   const events = await page.evaluate(() => {
     const player = document.querySelector("decogs-player");
