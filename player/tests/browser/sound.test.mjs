@@ -190,6 +190,43 @@ test("volume and mute, by the bar, by keys and by the page", async () => {
   await page.context().close();
 });
 
+test("sound with a place is heard from there, where the transform has it, by whoever looks", async () => {
+  const page = await browser.opened("placed", { width: 480, height: 270 });
+  await page.addInitScript(() => {
+    const Real = PannerNode;
+    globalThis.panners = [];
+    globalThis.PannerNode = class extends Real {
+      constructor(context, options) {
+        super(context, options);
+        globalThis.panners.push(this);
+      }
+    };
+  });
+  await page.reload();
+  await ready(page);
+  await until(page, "globalThis.panners.length === 1");
+  const told = await page.evaluate(async () => {
+    const player = document.querySelector("decogs-player");
+    await player.play();
+    await new Promise((done) => player.addEventListener("timeupdate", done, { once: true }));
+    const [panner] = globalThis.panners;
+    const { listener } = panner.context;
+    const three = (of, name) => ["X", "Y", "Z"].map((axis) => of[`${name}${axis}`].value);
+    const { centre, axes } = player.view.pose;
+    return { panner: three(panner, "position"), reference: panner.refDistance, position: three(listener, "position"), forward: three(listener, "forward"), centre, looks: axes[2], first: player.header.cameras[0].worldToCamera };
+  });
+  // s R x + t of the stream's presentation, tests/player/browser_data.py.
+  const [x, y, z] = [0.5, 0.25, 2];
+  const rows = [[1.915111107797445, -1.456408540173963, 0.679134455685461, 3], [1.606969024216348, 1.73568011003721, -0.809360927417662, -20], [0, 1.056545654351749, 2.265769467591625, 0.5]];
+  const near = (found, wanted) => found.forEach((value, axis) => assert.ok(Math.abs(value - wanted[axis]) < 1e-4, `${found} for ${wanted}`));
+  near(told.panner, rows.map((row) => row[0] * x + row[1] * y + row[2] * z + row[3]));
+  near(told.position, told.centre);
+  near(told.forward, told.looks);
+  const centre = [0, 1, 2].map((axis) => -told.first.reduce((sum, row) => sum + row[axis] * row[3], 0));
+  near([told.reference], [Math.hypot(...centre.map((value, axis) => value - told.panner[axis]))]);
+  await page.context().close();
+});
+
 test("a stream without sound has no controls of it, and its script does not come", async () => {
   const page = await browser.opened("long");
   await ready(page);
