@@ -30,7 +30,7 @@ export class CropTool {
     this.holder.className = "crop";
     this.holder.innerHTML = ownMarkup(MARKUP, "decogs-crop");
     adopt(root, style);
-    root.append(this.holder);
+    root.querySelector(".controls")!.before(this.holder);
     this.canvas = this.part("canvas") as HTMLCanvasElement;
     this.canvas.addEventListener("pointerdown", (event) => {
       this.canvas.setPointerCapture(event.pointerId);
