@@ -135,6 +135,8 @@ class BuildKernels(build_ext):
             self.spawn([*compiling, "-o", str(compiled)])
             # Linked without the instruction set: what comes from the C++ library is for every machine.
             self.spawn([*linking, str(compiled), "-o", str(linked)])
+            if TARGET and is_windows():
+                forget_time(linked)
             put(linked, library)
         if kept is not None:
             put(library, kept)
@@ -142,6 +144,14 @@ class BuildKernels(build_ext):
     def get_ext_filename(self, fullname: str) -> str:
         name = super().get_ext_filename(fullname)
         return name if TARGET is None else str(Path(*fullname.split("."))) + TARGET.suffix
+
+
+def forget_time(library: Path) -> None:
+    """Clears the time of linking in a library of Windows: Zig has no option for it. Source: PE format, COFF header."""
+    data = bytearray(library.read_bytes())
+    at = int.from_bytes(data[0x3C:0x40], "little") + 8
+    data[at : at + 4] = bytes(4)
+    library.write_bytes(data)
 
 
 def put(source: Path, target: Path) -> None:

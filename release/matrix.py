@@ -40,9 +40,11 @@ def oldest() -> str:
 def outcome(python: str, wheel: Path, folder: Path, constraints: str | None) -> str:
     """What became of it, in a line."""
     if shutil.which(python) is None:
-        return "not run: this Python is not installed"
+        return "not run: is not installed"
     shutil.rmtree(folder, ignore_errors=True)
-    _said([python, "-m", "venv", str(folder)])
+    made, said = _said([python, "-m", "venv", str(folder)])
+    if not made:
+        return f"not run: {said.strip().splitlines()[-1]}"
     within = str(folder / "bin" / "python")
     installing = [within, "-m", "pip", "install", "--quiet", "--no-compile", "--only-binary=:all:"]
     installing += os.environ.get("PIP_ARGS", "").split()
