@@ -48,7 +48,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check wheels release matrix shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
+.PHONY: help setup demo loop test lint type layers wheel wheel-check wheels release matrix shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
 	blender-addon blender-test clean
 
 help: ## list what can be made
@@ -81,6 +81,10 @@ $(USER_READY): $(INSTALLS) $(KERNEL_SOURCES) | $(USER_BIN)/python
 
 demo: $(USER_READY) ## encode the sample rig, decode its held-out view, export USD, in .venv-user
 	$(USER_BIN)/python tests/demo/demo.py
+
+loop: ## make tests/demo/loop.webp, with which README.md opens, from the stream that `make demo` has made
+	@[ -f demo/scene.dgs ] || $(MAKE) demo
+	$(USER_BIN)/python tests/demo/loop.py demo/scene.dgs tests/demo/loop.webp
 
 test: lint type layers wheel-check player-check unit ## every check; what continuous integration runs
 

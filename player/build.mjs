@@ -18,6 +18,7 @@ const bundles = {
   "decogs-controls": "controls/index",
   "decogs-recorded": "draw/recorded_pass",
   "decogs-xr": "xr/show",
+  "decogs-crop": "controls/crop",
   "decogs-sound": "sound/index",
   // A worker of several files, or WebAssembly beside it, is more than bundlers can be trusted with.
   ...(forPackage ? { "decogs-decoder": "decoder", "decogs-three": "engine/three", "decogs-playcanvas": "engine/playcanvas" } : { "decogs-exact": "worker/exact_pictures", "decogs-ply": "export/ply" }),

@@ -102,5 +102,7 @@ def policy_of(index: PageFile) -> str:
             "worker-src 'self' blob:",
             "base-uri 'none'",
             "form-action 'none'",
+            "require-trusted-types-for 'script'",
+            "trusted-types decogs-page decogs-player decogs-controls decogs-crop",
         ]
     )

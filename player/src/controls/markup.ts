@@ -41,6 +41,7 @@ export function markup(): string {
   <hr>
   <button type="button" name="picture">Save picture</button>
   <button type="button" name="ply" title="The frame's Gaussians, for other viewers">Save frame as .ply</button>
+  <button type="button" name="crop" title="Draw what is to stay, for decogs-edit">Crop with decogs-edit</button>
   <button type="button" name="pose">Copy camera as pose.json</button>
   <button type="button" name="link">Copy link to this view</button>
   <button type="button" name="embed">Copy code to embed it</button>

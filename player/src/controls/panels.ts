@@ -1,8 +1,10 @@
 /** The controls over the picture: the bar, its menu, help, figures and notices. They act through the player alone. */
 import type { Overlay, PlayerApi } from "../player_api";
+import { ownMarkup } from "../trusted";
 import { adopt } from "../adopted_style";
 import { cameraToLink, poseFile } from "./camera_text";
 import { cameraNote } from "./camera_note";
+import type { CropTool } from "./crop";
 import { Comparison } from "./comparison";
 import { icon } from "./icons";
 import { playOrPause } from "./keys";
@@ -44,6 +46,7 @@ export class Panels {
   private invited = false;
   /** The frame that a loop is to begin with, once its end is marked. */
   private marked: number | null = null;
+  private crop: CropTool | null = null;
   /** What had the focus before a panel was opened. */
   private opener: HTMLElement;
   private legendOf: Overlay = "none";
@@ -54,7 +57,7 @@ export class Panels {
   ) {
     const holder = document.createElement("div");
     holder.className = "controls";
-    holder.innerHTML = markup();
+    holder.innerHTML = ownMarkup(markup());
     adopt(root, style);
     root.append(holder);
     this.opener = player;
@@ -78,6 +81,7 @@ export class Panels {
 
   tick(now: number): void {
     this.statistics.tick(now);
+    this.crop?.refresh();
     if (this.player.comparing) this.comparison.refresh();
   }
 
@@ -163,6 +167,14 @@ export class Panels {
     return fills;
   }
 
+  private async startCrop(): Promise<void> {
+    if (this.crop !== null) this.crop.open();
+    else {
+      const { CropTool } = await import("./crop");
+      this.crop = new CropTool(this.player, this.root);
+    }
+  }
+
   /** The first frame of a loop, the last one, and no loop any more, one after the other. */
   mark(): void {
     const { player } = this;
@@ -232,6 +244,7 @@ export class Panels {
       },
       picture: () => void this.savePicture(),
       ply: () => void this.save(this.player.ply(), `frame_${this.frameText()}.ply`),
+      crop: () => void this.startCrop(),
       pose: () => void this.copyPose(),
       link: () => void this.copyLink(),
       embed: () => void this.copyEmbed(),
@@ -296,7 +309,7 @@ export class Panels {
     const [button, text] = player.paused ? (player.ended ? ["replay", "Play again"] : ["play", "Play"]) : ["pause", "Pause"];
     const play = this.part(".play");
     if (play.getAttribute("aria-label") !== text) {
-      play.innerHTML = icon(button as "play");
+      play.innerHTML = ownMarkup(icon(button as "play"));
       play.setAttribute("aria-label", text);
     }
     this.part(".start").hidden = player.controls || !player.paused || player.info === null;
@@ -342,7 +355,7 @@ export class Panels {
     if (overlay === this.legendOf) return;
     this.legendOf = overlay;
     const legend = this.part(".legend");
-    legend.innerHTML = LEGENDS[overlay];
+    legend.innerHTML = ownMarkup(LEGENDS[overlay]);
     legend.hidden = overlay === "none";
   }
 

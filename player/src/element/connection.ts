@@ -1,6 +1,7 @@
 /** The page's end of the worker: messages out, messages in, and tables of frames that grow. */
 import { FRAME_KINDS, type FrameTable, type FromWorker, type ToWorker } from "../messages";
 import type { FrameKind } from "../scene";
+import { ownScript } from "../trusted";
 
 /** Columns of what is known of every frame. */
 export class FrameColumns {
@@ -105,13 +106,12 @@ function earlyFor(source: string, follow: boolean, first: number | null): Early 
 
 /** The worker's script lies beside this one. One of another origin is reached through a small one of the page's own. */
 function startedWorker(): Worker {
-  const here = import.meta.url;
   // In this very form, which bundlers know.
-  if (new URL(here).origin === location.origin) return new Worker(new URL("./decogs-worker.js", import.meta.url), { type: "module" });
-  const address = here.replace(/[^/]*$/, "decogs-worker.js");
-  const script = new Blob([`import ${JSON.stringify(address)};`], { type: "text/javascript" });
+  const { href, origin } = new URL("./decogs-worker.js", import.meta.url);
+  if (origin === location.origin) return new Worker(ownScript(href), { type: "module" });
+  const script = new Blob([`import ${JSON.stringify(href)};`], { type: "text/javascript" });
   const own = URL.createObjectURL(script);
-  const worker = new Worker(own, { type: "module" });
+  const worker = new Worker(ownScript(own), { type: "module" });
   setTimeout(() => {
     URL.revokeObjectURL(own);
   }, 60_000);

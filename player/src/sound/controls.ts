@@ -1,6 +1,7 @@
 /** Mute and volume, in the bar of a stream that has sound. */
 import { icon } from "../controls/icons";
 import type { PlayerApi } from "../player_api";
+import { ownMarkup } from "../trusted";
 
 export class SoundControls {
   private readonly button = document.createElement("button");
@@ -32,7 +33,7 @@ export class SoundControls {
     const name = muted ? "muted" : "sound";
     if (name === this.shown) return;
     this.shown = name;
-    this.button.innerHTML = icon(name);
+    this.button.innerHTML = ownMarkup(icon(name));
     this.button.setAttribute("aria-label", muted ? "Sound on" : "Mute");
   }
 }

@@ -102,6 +102,40 @@ test("a lower quality draws fewer pixels and fewer Gaussians, those that cover l
   await page.context().close();
 });
 
+test("what is to stay is drawn over the scene, and becomes a command", async () => {
+  const page = await browser.opened("degree1", { width: 640, height: 480 });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null");
+  await page.locator("[name=menu]").click();
+  await page.locator("[name=crop]").click();
+  await page.locator(".crop canvas.drawing").waitFor();
+  const draw = async (from, to) => {
+    await page.mouse.move(...from);
+    await page.mouse.down();
+    await page.mouse.move(...to, { steps: 3 });
+    await page.mouse.up();
+  };
+  const number = String.raw`-?\d+(?:\.\d+)?`;
+  const vector = `${number},${number},${number}`;
+  const command = () => page.locator(".crop output").textContent();
+  await draw([250, 200], [400, 300]);
+  assert.match(await command(), new RegExp(`^decogs-edit degree1.dgs -o cropped.dgs crop box ${vector} ${vector}$`));
+  // Now dragging moves the camera again, and the box stays.
+  const first = await command();
+  const before = await state(page);
+  await draw([300, 240], [380, 240]);
+  await page.waitForTimeout(400);
+  assert.notDeepEqual((await state(page)).centre, before.centre);
+  assert.equal(await command(), first);
+  await page.locator(".crop [name=shape]").selectOption("sphere");
+  await draw([320, 240], [380, 240]);
+  assert.match(await command(), new RegExp(`crop sphere ${vector} ${number}$`));
+  await page.locator(".crop [name=done]").click();
+  assert.equal(await page.locator(".crop").isVisible(), false);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
 test("X marks a loop, whichever end comes first", async () => {
   const page = await browser.opened("long", { width: 640, height: 400 });
   await ready(page);

@@ -1,5 +1,7 @@
 // The element in a page that others wrote: moved about, under a strict policy, opened from the disk, in small places.
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { picture, psnr, ready, show, started, until } from "./harness.mjs";
 
@@ -77,8 +79,10 @@ async function own(html, { headers = {}, width = 400, height = 300, ...more } = 
 }
 const PLAYER = '<script type="module" src="decogs-player.js"></script>';
 
-test("under a policy that forbids styles in the page, the player has its size and its controls", async () => {
-  const policy = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; worker-src 'self'; img-src 'self' data:";
+const TRUSTED = "require-trusted-types-for 'script'; trusted-types decogs-page decogs-player decogs-controls decogs-crop";
+
+test("under a policy that forbids styles and texts in the page, the player has its size and its controls", async () => {
+  const policy = `default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; worker-src 'self'; img-src 'self' data:; ${TRUSTED}`;
   const page = await own(`<!doctype html>${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player>`, { headers: { "content-security-policy": policy } });
   // The policy forbids the harness's expressions, too.
   await page.waitForFunction(() => document.querySelector("decogs-player").info && document.querySelector("decogs-player").shadowRoot.querySelector(".bar"));
@@ -92,6 +96,21 @@ test("under a policy that forbids styles in the page, the player has its size an
   assert.deepEqual([inside, radius], [true, "12px"]);
   assert.deepEqual(page.complaints, []);
   await page.context().close();
+});
+
+test("the page of decogs-view plays where Trusted Types are required", async () => {
+  const context = await browser.browser.newContext({ viewport: { width: 400, height: 300 } });
+  const page = await context.newPage();
+  const complaints = [];
+  page.on("console", (message) => message.type() === "error" && complaints.push(message.text()));
+  const body = readFileSync(join(process.env.DECOGS_PAGE, "index.html"), "utf8");
+  await page.route("**/page/index.html*", (route) => route.fulfill({ contentType: "text/html", headers: { "content-security-policy": TRUSTED }, body }));
+  await page.goto(`${browser.server.address}/page/index.html?src=/data/long.dgs`);
+  await page.waitForFunction(() => document.querySelector("decogs-player").info && document.querySelector("decogs-player").shadowRoot.querySelector(".bar"));
+  await page.evaluate(() => document.querySelector("decogs-player").play());
+  await page.waitForFunction(() => document.querySelector("decogs-player").info.frame > 0);
+  assert.deepEqual(complaints, []);
+  await context.close();
 });
 
 test("opened from the disk, or without its script, the page says what to do", async () => {
