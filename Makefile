@@ -1,6 +1,7 @@
 # Everything a developer or a curious user runs. Needs Python 3.10 or later, a C++17 compiler and make.
 #   PYTHON    the Python to use                      make setup PYTHON=python3.12
 #   PIP_ARGS  more options for pip, such as an index make setup PIP_ARGS="--index-url ..."
+#   PYTHONS   those of make matrix                   make matrix PYTHONS="python3.12 /opt/python3.14/bin/python3"
 #   RIGS      the rigs of the report                 make report RIGS="rig_a rig_b"
 #   FUZZ_ARGS more options for make fuzz             make fuzz FUZZ_ARGS="--seed 2 --inputs 1000000"
 #   BLENDER   the Blender of make blender-test        make blender-test BLENDER=5.2.3 BLENDER_PYTHON=python3.13
@@ -47,7 +48,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo loop test lint type layers wheel wheel-check wheels shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
+.PHONY: help setup demo loop test lint type layers wheel wheel-check wheels release matrix shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
 	blender-addon blender-test clean
 
 help: ## list what can be made
@@ -116,7 +117,7 @@ player-wasm: $(ZIG_ENV)/ready ## compile what is WebAssembly of that page; after
 
 $(ZIG_ENV)/ready:
 	$(PYTHON) -m venv $(ZIG_ENV)
-	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief
+	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief packaging
 	@touch $@
 
 # Its unit tests are among pytest's. Without Node, or where its packages cannot be had (no network), all of them are skipped.
@@ -146,6 +147,14 @@ wheels: $(ZIG_ENV)/ready ## build the sdist and a wheel for every platform into 
 	rm -rf $(WHEELS)
 	$(ZIG_ENV)/bin/python release/wheels.py $(WHEELS)
 	$(ZIG_ENV)/bin/python release/check.py $(WHEELS)/*.whl
+
+# Twice, of what is committed: a release is one that anyone can build again (docs/releasing.md).
+release: $(ZIG_ENV)/ready player/node_modules/ready ## build all that is published into build/release, twice, and compare the bytes
+	$(ZIG_ENV)/bin/python release/release.py build/release
+
+# Not part of `make test`: 600 MB to download for each Python.
+matrix: wheel $(ZIG_ENV)/ready ## run the wheel with every Python there is, beside the newest and oldest of what it needs
+	$(ZIG_ENV)/bin/python release/matrix.py $(DIST)/*.whl build/matrix $(PYTHONS)
 
 shell-files: $(READY) ## write the man pages and completions in share/ anew; after a change of any option
 	$(BIN)/python share/build.py

@@ -135,6 +135,8 @@ class BuildKernels(build_ext):
             self.spawn([*compiling, "-o", str(compiled)])
             # Linked without the instruction set: what comes from the C++ library is for every machine.
             self.spawn([*linking, str(compiled), "-o", str(linked)])
+            if TARGET and is_windows():
+                forget_time(linked)
             put(linked, library)
         if kept is not None:
             put(library, kept)
@@ -142,6 +144,14 @@ class BuildKernels(build_ext):
     def get_ext_filename(self, fullname: str) -> str:
         name = super().get_ext_filename(fullname)
         return name if TARGET is None else str(Path(*fullname.split("."))) + TARGET.suffix
+
+
+def forget_time(library: Path) -> None:
+    """Clears the time of linking in a library of Windows: Zig has no option for it. Source: PE format, COFF header."""
+    data = bytearray(library.read_bytes())
+    at = int.from_bytes(data[0x3C:0x40], "little") + 8
+    data[at : at + 4] = bytes(4)
+    library.write_bytes(data)
 
 
 def put(source: Path, target: Path) -> None:
@@ -212,6 +222,13 @@ def flags_of(instruction_set: str) -> list[str]:
     return [flag.replace("x86-64-", "x86_64_") for flag in flags] if TARGET else flags
 
 
+def names_itself(name: str) -> list[str]:
+    """What keeps Zig from writing the folder that a library for macOS was linked in into it."""
+    if TARGET is None or "-macos" not in TARGET.zig:
+        return []
+    return [f"-Wl,-install_name,@rpath/{name.rpartition('.')[2]}{TARGET.suffix}"]
+
+
 def kernels() -> list[Extension]:
     headers = [str(path) for folder, _ in KERNELS.values() for path in sorted(Path(folder).glob("*.h"))]
     return [
@@ -226,7 +243,7 @@ def kernels() -> list[Extension]:
                 f"-Ddecogs=decogs_{instruction_set}",
                 *flags_of(instruction_set),
             ],
-            extra_link_args=SHARED,
+            extra_link_args=[*SHARED, *names_itself(f"{name}_{instruction_set}")],
             language="c++",
             py_limited_api=True,
         )

@@ -22,6 +22,10 @@ from .variants import Question, Variant
 
 _SHOWN_QUALITIES, _SHOWN_COSTS = ("psnr_dynamic", "ssim"), ("cpu", "kilobytes", "decode_fps")
 """Of all pairs of axes, those with a picture or a table; the page to explore has them all."""
+_RATE_HEADINGS = (
+    "", "PSNR", "dynamic", "static", "subject", "mTV ×100", "first frame, kB", "s to it at 2 Mbit/s",
+    "kB/frame after it", "× ours", "kB/frame, all", "CPU-ms to read", "how",
+)  # fmt: skip
 
 
 def report_page(plan: Plan, results: Sequence[RigResults], folder: Path, command: str) -> list[str]:
@@ -114,15 +118,12 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
         kept = result.rivals.get(rival.name)
         if kept is None:
             why = result.failures.get(rival.name, rival.coder.missing() or NOT_RUN)
-            rows.append([rival.description, *[NOTHING] * 7, why])
+            rows.append([rival.description, *[NOTHING] * (len(_RATE_HEADINGS) - 2), why])
         else:
             name = f"`{rival_file(bench, contest.source, rival).stem}`"
             rows.append(_rate_row(point_of_rival(kept), source, name))
         if rival.about:
             notes.setdefault(rival.about, []).append(rival.name)
-    headings = [
-        "", "PSNR", "dynamic", "static", "first frame, kB", "kB/frame after it", "× ours", "kB/frame, all", "how",
-    ]  # fmt: skip
     return [
         "### Against other ways to keep the same frames",
         "",
@@ -130,7 +131,7 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
         "what they wrote, rendered and measured like a stream. Those frames lie on our lattice already, which helps a "
         "general-purpose compressor. Rows are of the first seed.",
         "",
-        *markdown(headings, rows),
+        *markdown(_RATE_HEADINGS, rows),
         "",
         *(f"- {', '.join(names)}: {about}" for about, names in notes.items()),
         "",
@@ -209,9 +210,20 @@ def _precision_section(result: RigResults) -> list[str]:
 def _rate_row(point: RatePoint, source: Run | None, name: str) -> list[str]:
     ours = None if source is None else point_of(source, "").later_bytes
     times = None if not ours else point.later_bytes / ours
-    quality = [number(".2f")(value) for value in (point.psnr, point.psnr_dynamic, point.psnr_static)]
-    sizes = [f"{value / 1e3:.2f}" for value in (point.first_bytes, point.later_bytes, point.frame_bytes)]
-    return [point.label, *quality, sizes[0], sizes[1], number(".2f")(times), sizes[2], name]
+    dbs = (point.psnr, point.psnr_dynamic, point.psnr_static, point.psnr_subject)
+    first, later, every = (f"{value / 1e3:.2f}" for value in (point.first_bytes, point.later_bytes, point.frame_bytes))
+    return [
+        point.label,
+        *map(number(".2f"), dbs),
+        number(".4f")(point.mtv),
+        first,
+        f"{point.first_seconds:.2f}",
+        later,
+        number(".2f")(times),
+        every,
+        number(".1f")(point.read_ms),
+        name,
+    ]
 
 
 def _failed(result: RigResults, question: Question) -> list[tuple[str, str]]:
@@ -323,9 +335,13 @@ def _how_rivals() -> list[str]:
     return [
         "- First frame: all bytes that have to be there before it shows: of a stream the keyframe with header and "
         "index, of a file per frame the first file. The frames after it: the other bytes over the other frames. "
-        "× ours: those over the finest stream's.",
+        "× ours: those over the finest stream's. Seconds: what the line alone takes to bring it.",
+        "- Subject: inside the rig's true mattes of the held-out camera, frame by frame.",
+        "- CPU-ms to read: processor milliseconds from bytes to a frame's Gaussians, the mean over all frames, without "
+        "rendering. It is of the programs at hand: streams, PLY, SPZ, SOG, .splat and arrays by our readers; splats4d "
+        "by its command, which is started for each frame; 4dgs by its package, in numpy.",
         "- Rivals are written to disk by this program (PLY, SPZ, SOG, .splat and arrays by writers of its own, "
-        "splats4d by its own command at zstd level 19) and sizes taken from the files.",
+        "splats4d by its own command at zstd level 19, 4dgs by its package) and sizes taken from the files.",
     ]
 
 

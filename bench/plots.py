@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000")
-"""Distinct for colour-blind eyes, too (Okabe and Ito)."""
+COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#c0b000", "#999999", "#882255")
+"""Distinct for colour-blind eyes, too: Okabe and Ito's, their yellow darkened to show as a dot, and two more."""
 _MARKERS = "os^Dv*P"
 _TRADED = tuple(cost for cost in COSTS if cost.key in ("cpu", "kilobytes", "decode_fps"))
 _DEVIATION = 12
@@ -76,7 +77,7 @@ def plot_rates(path: Path, points: Sequence[RatePoint]) -> None:
         axes.set_ylabel("held-out PSNR, dB")
         axes.set_xscale("log")
         axes.grid(alpha=0.3)
-        for family, colour in zip(families, COLOURS, strict=False):
+        for family, colour in zip(families, cycle(COLOURS)):
             mine = sorted((p for p in points if p.family == family), key=lambda point: point.later_bytes)
             values = [getattr(point, name) for point in mine]
             axes.plot(

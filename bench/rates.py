@@ -5,9 +5,10 @@ from __future__ import annotations
 from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splat_files.sog import Sog
 from decogs.formats.splat_files.splat import Splat
-from decogs.formats.splat_files.spz import Spz
+from decogs.formats.splat_files.spz import Spz, SpzVersion
 
 from .rivals.float_arrays import FloatArrays, FloatDeltas
+from .rivals.fourdgs import FourDGS
 from .rivals.sequences import FilePerFrame, Rival, WithoutDirections
 from .rivals.splat4d import Splat4d
 from .variants import Question, Variant
@@ -23,7 +24,7 @@ QUESTIONS = (
         "Rates",
         "The same recipe at several rates, each from a keyframe of its own.",
         RATE_POINTS,
-        (("psnr", "psnr_dynamic", "psnr_static", "mtv", "selected", "cpu", "gaussians"),),
+        (("psnr", "psnr_dynamic", "psnr_static", "psnr_subject", "mtv", "selected", "cpu", "gaussians"),),
     ),
 )
 
@@ -34,17 +35,32 @@ _NO_DIRECTIONS = (
 _FIXED_COUNT = (
     f"{_NO_DIRECTIONS} Takes one fixed set of Gaussians: those that are not there yet, or no more, are kept with "
     "opacity 0. A world unit counts as a metre. It holds what never changes once for the whole clip and cannot be "
-    "played before its end is known; its first frame is counted as the file of that frame alone."
+    "written before its end is known; its first frame is counted as the file of that frame alone, but shows only once "
+    "its group of 30 frames is there."
+)
+_ONE_GRID = (
+    f"{_NO_DIRECTIONS} Its package's writer of keyframe-delta files writes no more, though the format could hold it. "
+    "Colours outside 0..1 are put at its ends; positions lie within a share of the median size of all Gaussians. Each "
+    "frame is one of its samples, in which no Gaussian moves or fades by itself; a file plays from its front on, so "
+    "that its first frame is what lies before the second one."
 )
 
 
-def _spz(fraction_bits: int, sh1_bits: int, sh_rest_bits: int, note: str = "") -> Rival:
+def _spz(
+    version: SpzVersion, fraction_bits: int = 12, sh1_bits: int = 5, sh_rest_bits: int = 4, note: str = ""
+) -> Rival:
     return Rival(
-        f"spz-{fraction_bits}-{sh1_bits}-{sh_rest_bits}",
-        "SPZ",
-        f"SPZ v3 per frame, positions 2^-{fraction_bits}, SH {sh1_bits}/{sh_rest_bits} bit{note}",
-        FilePerFrame(Spz(fraction_bits, sh1_bits, sh_rest_bits)),
+        f"spz{version}-{fraction_bits}-{sh1_bits}-{sh_rest_bits}",
+        f"SPZ {version}",
+        f"SPZ {version} per frame, positions 2^-{fraction_bits}, SH {sh1_bits}/{sh_rest_bits} bit{note}",
+        FilePerFrame(Spz(fraction_bits, sh1_bits, sh_rest_bits, version)),
     )
+
+
+def _fourdgs(coder: FourDGS, note: str) -> Rival:
+    keyframes = "first" if coder.keyframe_every is None else f"every{coder.keyframe_every}"
+    description = f"4dgs, profile {coder.profile}, {note}"
+    return Rival(f"4dgs-{coder.profile}-{keyframes}", "4dgs", description, coder, _ONE_GRID)
 
 
 def _splat4d(
@@ -70,16 +86,21 @@ RIVALS = (
     ),
     Rival("float32-deltas", "float32 deltas + zstd", "float32 of the rows that change, zstd 19", FloatDeltas()),
     Rival("ply", "PLY", "INRIA .ply per frame", FilePerFrame(Ply())),
-    _spz(14, 8, 8),
-    _spz(12, 5, 4, " (its library's default)"),
-    _spz(10, 4, 3),
-    _spz(8, 3, 3),
+    _spz(3, note=" (its library's default)"),
+    _spz(4, 14, 8, 8),
+    _spz(4, note=" (its library's default)"),
+    _spz(4, 10, 4, 3),
+    _spz(4, 8, 3, 3),
     Rival("sog", "SOG", "SOG v2 per frame", FilePerFrame(Sog())),
     Rival("splat", ".splat", ".splat per frame (what splats4d takes)", FilePerFrame(Splat()), _NO_DIRECTIONS),
     _splat4d(0.5, 1, 0, 0.5),
     _splat4d(2, 4, 0, 2, " (its default)"),
     _splat4d(4, 8, 2, 5),
     _splat4d(10, 16, 4, 10),
+    _fourdgs(FourDGS("default", 8, None), "a keyframe every 8 frames, deflate (as it comes)"),
+    _fourdgs(FourDGS("fine"), "one keyframe, zstd 19"),
+    _fourdgs(FourDGS("default"), "one keyframe, zstd 19"),
+    _fourdgs(FourDGS("coarse"), "one keyframe, zstd 19"),
 )
 """Families in the order of the plot's legend, and within a family from the finest to the coarsest."""
 

@@ -28,9 +28,9 @@ from .plans import Contest, Plan, RigResults, Trade
 from .plots import require_plots
 from .precision import find_precision, measure_precision
 from .progress import BenchProgress
-from .rival_runs import find_rival, point_of_rival, rival_file, run_rival
+from .rival_runs import find_rival, point_of, point_of_rival, rival_file, run_rival
 from .rivals.sequences import Rival
-from .runs import KEYFRAME, BenchOptions, RigBench, check_names
+from .runs import KEYFRAME, BenchOptions, RigBench, Run, check_names
 from .tables import NOT_RUN, figures
 from .trade import trade_document
 from .trade_page import trade_page
@@ -249,7 +249,10 @@ def _rig_document(plan: Plan, result: RigResults) -> dict[str, Any]:
         "questions": {question.key: _rows_document(result, question) for question in plan.questions},
     }
     if plan.contest is not None:
-        document[plan.contest.key] = [_rival_document(result, plan.contest, rival) for rival in plan.contest.rivals]
+        document[plan.contest.key] = [
+            *(_rate_document(variant, run) for variant in plan.contest.rates if (run := result.run_of(variant))),
+            *(_rival_document(result, plan.contest, rival) for rival in plan.contest.rivals),
+        ]
     if plan.trade is not None:
         document |= trade_document(plan, result)
     return document
@@ -267,6 +270,12 @@ def _row_document(result: RigResults, variant: Variant, compared: dict[str, Any]
         row["runs"] = {seed: f"runs/{result.bench.file_of(run).name}" for seed, run in runs.items()}
         row |= {"how": next(iter(runs.values())).command, "figures": figures(list(runs.values()))}
     return row if compared is None else row | {"differences": compared}
+
+
+def _rate_document(variant: Variant, run: Run) -> dict[str, Any]:
+    """A stream among its rivals."""
+    label = f"decogs, {variant.description}"
+    return {"variant": variant.name, "description": label, "figures": asdict(point_of(run, label))}
 
 
 def _rival_document(result: RigResults, contest: Contest, rival: Rival) -> dict[str, Any]:

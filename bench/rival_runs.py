@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
@@ -15,14 +14,16 @@ from decogs.formats.splats import Splats
 
 from .estimates import rounded
 from .machine import code_version
-from .measuring import FrameQuality
+from .measuring import FrameQuality, cpu_seconds
 from .rivals.sequences import Frames, Rival, SceneFrame, Sizes
 from .runs import RigBench, Run, digest, document, read_document
 from .tables import mean
 from .variants import Variant
 
-FORMAT = 1
+FORMAT = 2
 """Of the JSON files, and of what the rivals write: raise it when either changes."""
+LINE = 2e6
+"""Bits a second: a slow line, at which PD-4DGS (arXiv 2605.11427) states the wait for the first picture."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,8 @@ class RivalRun:
     """One rival over the frames of one stream; plain values, as they lie in the JSON file.
 
     ``key``: digest of what decides it. ``source``: the stream's variant and key; ``code`` is what made that.
-    ``coder``: the rival's settings. ``seconds``: to write all frames, and to read them, rendering left out.
+    ``coder``: the rival's settings. ``wait_bytes``: as in Sizes. ``write_cpu_seconds``: processor seconds to write
+    all frames; ``read_cpu_seconds``: to read one, the mean, rendering left out.
     """
 
     rig: str
@@ -52,8 +54,9 @@ class RivalRun:
     coder: str
     first_bytes: int
     total_bytes: int
-    write_seconds: float
-    read_seconds: float
+    wait_bytes: int
+    write_cpu_seconds: float
+    read_cpu_seconds: float
     frames: list[RivalFrame]
 
 
@@ -61,7 +64,9 @@ class RivalRun:
 class RatePoint:
     """A row of the comparison and a point of the plot. PSNR in dB, means over all frames; bytes on disk.
 
-    ``first_bytes``: all that comes with the first frame; ``later_bytes``: the rest over the later frames.
+    ``first_bytes``: all that comes with the first frame; ``first_seconds``: what `LINE` takes to bring what has to be
+    there before that shows; ``later_bytes``: the rest over the later frames. ``mtv``: flicker, as mTV x100.
+    ``read_ms``: processor milliseconds from bytes to a frame's Gaussians.
     """
 
     label: str
@@ -69,20 +74,25 @@ class RatePoint:
     psnr: float | None
     psnr_dynamic: float | None
     psnr_static: float | None
+    psnr_subject: float | None
+    mtv: float | None
     first_bytes: int
+    first_seconds: float
     later_bytes: float
     frame_bytes: float
+    read_ms: float | None
 
 
 def point_of(run: Run, label: str) -> RatePoint:
     """A stream as a point; what lies around its packets counts with the first frame."""
     first = run.stream_bytes - sum(frame.bytes for frame in run.frames[1:])
-    return _point(label, "decogs", run.frames, Sizes(first, run.stream_bytes))
+    return _point(label, "decogs", run.frames, Sizes(first, run.stream_bytes), run.read_cpu_seconds)
 
 
 def point_of_rival(run: RivalRun) -> RatePoint:
     """Rate and distortion of another way to keep the same frames."""
-    return _point(run.description, run.family, run.frames, Sizes(run.first_bytes, run.total_bytes))
+    sizes = Sizes(run.first_bytes, run.total_bytes, run.wait_bytes)
+    return _point(run.description, run.family, run.frames, sizes, run.read_cpu_seconds)
 
 
 def rival_file(bench: RigBench, source: Variant, rival: Rival) -> Path:
@@ -102,9 +112,9 @@ def run_rival(
     """Has the rival keep the stream's frames, measures what comes back, and keeps the result."""
     with open_stream(stream_file, strict=True) as stream, tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        began = time.perf_counter()
+        began = cpu_seconds()
         sizes = rival.coder.write(_frames_of(stream), folder)
-        written = time.perf_counter() - began
+        written = cpu_seconds() - began
         scenes = _counted(rival.coder.read(folder), on_frame)
         frames = bench.frames_of(source)
         quality = bench.measured(stream.header, scenes, frames)
@@ -121,8 +131,9 @@ def run_rival(
         coder=repr(rival.coder),
         first_bytes=sizes.first,
         total_bytes=sizes.total,
-        write_seconds=rounded(written),
-        read_seconds=rounded(quality.read_seconds * len(frames)),
+        wait_bytes=sizes.wait,
+        write_cpu_seconds=rounded(written),
+        read_cpu_seconds=rounded(quality.read_cpu_seconds),
         frames=[
             RivalFrame(**rounded(asdict(looks)), frame=index)
             for index, looks in zip(frames, quality.frames, strict=True)
@@ -152,14 +163,21 @@ def _key(bench: RigBench, source: Variant, rival: Rival) -> str:
     return digest({"format": FORMAT, "source": bench.key(source), "coder": repr(rival.coder)})
 
 
-def _point(label: str, family: str, frames: Sequence[FrameQuality], sizes: Sizes) -> RatePoint:
+def _point(
+    label: str, family: str, frames: Sequence[FrameQuality], sizes: Sizes, read_seconds: float | None
+) -> RatePoint:
+    variation = mean(frame.variation for frame in frames)
     return RatePoint(
         label,
         family,
         mean(frame.psnr for frame in frames),
         mean(frame.psnr_dynamic for frame in frames),
         mean(frame.psnr_static for frame in frames),
+        mean(frame.psnr_subject for frame in frames),
+        None if variation is None else 100 * variation,
         sizes.first,
+        8 * max(sizes.first, sizes.wait) / LINE,
         (sizes.total - sizes.first) / (len(frames) - 1),
         sizes.total / len(frames),
+        None if read_seconds is None else 1e3 * read_seconds,
     )

@@ -55,7 +55,7 @@ from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, HeldOut, StreamQuality, measure_scenes
 from .metrics import BytePicture
 from .perceptual import installed_network, perceptual_distance
-from .regions import Regions, find_regions, held_out_pictures, static_column
+from .regions import Regions, find_regions, held_out_pictures, static_column, true_mattes
 from .timing import TIMINGS, retimed
 from .variants import Variant, settings_of
 
@@ -120,9 +120,9 @@ class Run:
 
     ``key``: digest of what decides the run. ``span``: the rig's frames, start, stop and step. ``load``: of the machine
     before and after. ``changed``: settings that differ from the preset's. ``render_seconds``, ``read_seconds``: medians
-    per frame. ``decode_cpu_seconds``: of both together, in processor seconds, all cores added; None in a file from
-    before it was measured. ``stream_bytes``: the file's. ``column``: image column of the held-out camera that is kept
-    in the picture beside the JSON file.
+    per frame. ``decode_cpu_seconds``: of both together, in processor seconds, all cores added; ``read_cpu_seconds``: to
+    read a frame, the mean; None in a file from before they were measured. ``stream_bytes``: the file's. ``column``:
+    image column of the held-out camera that is kept in the picture beside the JSON file.
     """
 
     rig: str
@@ -150,6 +150,7 @@ class Run:
     column: int
     frames: list[RunFrame]
     decode_cpu_seconds: float | None = None
+    read_cpu_seconds: float | None = None
 
 
 class RigBench:
@@ -297,7 +298,7 @@ class RigBench:
 
     def measured(self, header: StreamHeader, scenes: Iterator[Splats], frames: Sequence[int]) -> StreamQuality:
         """What the held-out cameras see of decoded scenes, one for each of the rig's ``frames``."""
-        views = [HeldOut(name, self._recorded(frames, name), self._regions[name]) for name in self.cameras]
+        views = [self._held_out(name, frames) for name in self.cameras]
         return measure_scenes(
             header,
             scenes,
@@ -307,6 +308,10 @@ class RigBench:
             column=self.column,
             distance=perceptual_distance(installed_network()),
         )
+
+    def _held_out(self, camera: str, frames: Sequence[int]) -> HeldOut:
+        mattes = true_mattes(self.rig, camera, frames, self.options.scale)
+        return HeldOut(camera, self._recorded(frames, camera), self._regions[camera], mattes)
 
     def stream(self, variant: Variant, on_keyframe_step: OnKeyframeStep | None = None) -> Path:
         """The variant's stream; encoded (again) when it is not there or was made by other code."""
@@ -419,6 +424,7 @@ class RigBench:
             render_seconds=quality.render_seconds,
             read_seconds=quality.read_seconds,
             decode_cpu_seconds=quality.decode_cpu_seconds,
+            read_cpu_seconds=quality.read_cpu_seconds,
             stream_bytes=report.total_bytes,
             column=self.column,
             frames=[_frame(index, cost, looks) for index, cost, looks in pairs],

@@ -119,6 +119,7 @@ COLUMNS: dict[str, Column] = {
     "psnr": _average("PSNR", "dB over the whole picture", "psnr", 2),
     "psnr_aligned": _average("PSNR, aligned", "the same with each channel's colours aligned first", "psnr_aligned", 2),
     "psnr_dynamic": _average("dynamic", "PSNR in dB over the dynamic region", "psnr_dynamic", 2),
+    "psnr_subject": _average("subject", "PSNR in dB inside the rig's true mattes", "psnr_subject", 2),
     "psnr_static": _average("static", "PSNR in dB over the static region", "psnr_static", 2),
     "last_dynamic": Column(
         "dynamic, last frame",

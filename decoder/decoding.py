@@ -35,7 +35,7 @@ from .frame_choice import (
 )
 from .layouts import Layout
 from .limits import DEFAULT_MAX_MEMORY
-from .picture_output import PictureSink, open_sink
+from .picture_output import PictureSink, holds_sound, open_sink
 from .shots import Colour, Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
 from .sound.samples import heard_in
 from .stream import Stream
@@ -148,7 +148,7 @@ def decode(
             fps=fps,
             video=video,
             cut_out=cut_out,
-            sound=_sound(opened, video, wanted, chosen, on_warning),
+            sound=_sound(opened, video, wanted, chosen, on_warning) if holds_sound(output) else None,
         ) as sink:
             _check_files(sink, chosen, read)
             static = _static(shown, on_warning) if sink.has_layers else None
@@ -178,7 +178,7 @@ def _decode_growing(
     first, done = picture_camera(stream.header, wanted, show), 0
     fps = _rate(stream.header, wanted)
     cut_out = _is_cut_out(stream.header, show)
-    sound = _sound(stream, video, wanted, chosen, on_warning)
+    sound = _sound(stream, video, wanted, chosen, on_warning) if holds_sound(output) else None
     with open_sink(output, view=first.name, frames=None, fps=fps, video=video, cut_out=cut_out, sound=sound) as sink:
         shots = shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
         coming = _unread(shots, sink, read)
@@ -210,13 +210,29 @@ def _sound(
         return read_samples(video.audio, 2, begin=chosen.start / (_rate(header, wanted) or DEFAULT_FPS))
     if video.silent or not header.sound or header.fps is None:
         return None
-    if isinstance(wanted, CameraPath) and (wanted.times is not None or _rate(header, wanted) != header.fps):
-        if on_warning is not None:
-            on_warning(f"{wanted.source}: has times of its own, with which the stream's sound does not go; left out")
-        return None
     if isinstance(stream, GrowingStream):
-        return stream.heard(chosen.start)
-    return heard_in(stream, range(chosen.start, chosen.stop))
+        return stream.heard(chosen.start) if _rate(header, wanted) == header.fps else None
+    shown = _shown_on(stream, wanted, range(chosen.start, chosen.stop))
+    if shown is None:
+        if on_warning is not None:
+            on_warning(
+                f"{stream.path}: its sound is left out, since pictures do not show its frames one after the other"
+            )
+        return None
+    return heard_in(stream, shown)
+
+
+def _shown_on(stream: Stream, wanted: str | CameraPath, chosen: range) -> range | None:
+    """The frames that the chosen pictures show, where they do at the stream's rate and one after the other."""
+    if isinstance(wanted, str):
+        return chosen
+    if _rate(stream.header, wanted) != stream.header.fps:
+        return None
+    if wanted.times is None:
+        return chosen
+    shown = shown_frames(wanted, stream.frame_count)[chosen.start : chosen.stop]
+    frames = range(shown[0], shown[0] + len(shown))
+    return frames if shown == list(frames) else None
 
 
 def _chosen_shots(

@@ -22,6 +22,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.frame_names import is_numbered, names_of_frames
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.length_units import metres_of
+from decogs.formats.openusd import load_openusd
 from decogs.formats.outputs import Output, check_outputs, errors_named, staged_files
 from decogs.formats.similarity import Similarity, transformed_splats
 from decogs.formats.splat_files import Extremes, SplatFormat, splat_formats
@@ -239,6 +240,7 @@ def _documentation(header: StreamHeader, name: str) -> str:
 def _export_usd(plan: _Plan, stream: AnyStream, chosen: range, source: Path) -> ExportReport:
     from .usd_export import ExportFrame, export_usd
 
+    load_openusd()  # Before all frames are read for nothing, where it is not installed.
     header, done = stream.header, 0
     root, up = _similarity(plan, header, "Y")
     asset = _asset(source)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Callable
 from typing import Any
 
 from decogs.formats.container import FRAME_KINDS, IndexEntry, Packet, PacketReader
 from decogs.formats.errors import StreamError
+from decogs.formats.operating_systems import read_at
 from decogs.formats.reasons import Reason
 from decogs.formats.survey import Survey
 
@@ -66,7 +66,7 @@ class FileFrom(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         """Reads on from its own place into ``buffer``; returns how many bytes, 0 at the end."""
         # The file is asked for its descriptor each time: once closed it has none, and the number is another file's.
-        data = os.pread(self._file.fileno(), len(buffer), self._offset)
+        data = read_at(self._file.fileno(), len(buffer), self._offset)
         buffer[: len(data)] = data
         self._offset += len(data)
         return len(data)

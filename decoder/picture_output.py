@@ -120,6 +120,11 @@ def open_sink(
         sink.finish()
 
 
+def holds_sound(output: str | os.PathLike[str] | BinaryIO) -> bool:
+    """Whether this kind of output has a place for sound."""
+    return isinstance(output, (str, os.PathLike)) and Path(output).suffix.lower() in CODECS
+
+
 def to_8bit(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Display-referred 0..1 to 0..255: clipped and rounded to nearest. The one rounding of every 8-bit picture."""
     rounded: NDArray[np.uint8] = np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)

@@ -109,7 +109,7 @@ class SoundInfo:
 class StreamInfo:
     """A whole stream; every frame that is not lost was reconstructed and its digest verified.
 
-    ``sounds``: its tracks of sound; they are among the bytes of the container.
+    ``sounds``: its tracks of sound.
     """
 
     path: Path
@@ -127,7 +127,7 @@ class StreamInfo:
         """Counts and means; bytes per frame with the first keyframe (the whole file) and without (the later packets).
 
         ``bytes_by_purpose`` adds up to the file: "container" is what packets, header packet and index take, and what is
-        damaged.
+        damaged; the table has sound in it.
         """
         keys = [frame.bytes for frame in self.frames if frame.kind == "key"]
         later = [frame for frame in self.frames[1:] if frame.kind != "lost"]
@@ -146,8 +146,12 @@ class StreamInfo:
             "mean_key_bytes": _mean(sum(keys), len(keys)),
             "mean_delta_bytes": _mean(sum(deltas), len(deltas)),
             "mean_touched_fraction": _mean(sum(frame.touched_fraction for frame in others), len(others)),
-            "bytes_by_purpose": dict(zip(table.purposes, table.totals, strict=True)),
+            "bytes_by_purpose": self._with_sound(dict(zip(table.purposes, table.totals, strict=True))),
         }
+
+    def _with_sound(self, by_purpose: dict[str, int]) -> dict[str, int]:
+        sound = sum(each.bytes for each in self.sounds)
+        return {**by_purpose, CONTAINER: by_purpose[CONTAINER] - sound, "sound": sound} if sound else by_purpose
 
     @property
     def byte_table(self) -> ByteTable:

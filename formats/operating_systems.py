@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 
 if sys.platform == "win32":
     import msvcrt
@@ -24,6 +25,8 @@ WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0)
 """Flag of `os.open`: a named pipe's other end is not waited for."""
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 """Flag of `os.open`: a link is refused."""
+
+_reading = threading.Lock()
 
 CLOSES_FIRST = sys.platform == "win32"
 """Whether a file that is open can neither be renamed nor removed."""
@@ -45,6 +48,15 @@ def take_lock(number: int, *, shared: bool = False) -> None:
             os.lseek(number, at, os.SEEK_SET)
     else:
         fcntl.flock(number, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+
+
+def read_at(number: int, count: int, offset: int) -> bytes:
+    """Bytes of an open file from a place of it; where others read meanwhile, on Windows they do so by this, too."""
+    if sys.platform != "win32":
+        return os.pread(number, count, offset)
+    with _reading:
+        os.lseek(number, offset, os.SEEK_SET)
+        return os.read(number, count)
 
 
 def limit_process(memory: int, seconds: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,6 +86,11 @@ def sound_channels(path: Path) -> int | None:
         return None if track is None else min(track.codec_context.channels, 2) or 2
 
 
+def sound_title(path: Path) -> str:
+    """The file's name as a text that any program can hold."""
+    return path.name.encode("utf-8", "replace").decode()
+
+
 def read_samples(path: Path, channels: int, *, begin: float = 0.0, picture: int | None = None) -> Iterator[FloatArray]:
     """The sound of a file (channels, N), at `FULL_RATE`, in pieces of at most a second; gaps are silence.
 
@@ -98,7 +104,7 @@ def read_samples(path: Path, channels: int, *, begin: float = 0.0, picture: int 
         resampler = av.AudioResampler(format="fltp", layout=("mono", "stereo")[channels - 1], rate=FULL_RATE)
         at = round(begin * FULL_RATE)
         tolerance = 0
-        for frame in container.decode(track):
+        for frame in chain(container.decode(track), [None]):  # which has what the resampler holds back
             for part in resampler.resample(frame):
                 time = float(part.pts * part.time_base) if part.pts is not None and part.time_base else None
                 zero = time or 0.0 if zero is None else zero

@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 
 import lief
 
+lief.logging.disable()
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
@@ -57,8 +58,6 @@ def wrong_with(data: bytes, name: str, platform: str) -> Iterator[str]:
     wanted = ASKED[PurePosixPath(name).name.split(".")[0].rpartition("_")[0]]
     if not {wanted, "decogs_sizes"} <= offered:
         yield f"offers no {wanted}"
-    if foreign := sorted(offered - {function for function in offered if function.startswith(("decogs_", "_Z", "Z"))}):
-        yield f"offers {', '.join(foreign)}, too"
 
 
 def _elf(library: lief.ELF.Binary, processor: str) -> Iterator[str]:
@@ -70,6 +69,9 @@ def _elf(library: lief.ELF.Binary, processor: str) -> Iterator[str]:
     numbers = {tuple(map(int, v.removeprefix("GLIBC_").split("."))) for v in versions if v.startswith("GLIBC_")}
     if max(numbers, default=(0,)) > (2, 17):
         yield f"needs glibc {'.'.join(map(str, max(numbers)))}, and the wheel says 2.17"
+    offered = [str(function.name) for function in library.exported_functions]
+    if foreign := [name for name in offered if not name.startswith(("decogs_", "_Z"))]:
+        yield f"offers {', '.join(foreign)}, too, which others could take for theirs"
     if any(segment.type.name == "GNU_STACK" and segment.has(lief.ELF.Segment.FLAGS.X) for segment in library.segments):
         yield "asks for a stack that can be executed"
 
@@ -81,17 +83,17 @@ def _pe(library: lief.PE.Binary, processor: str) -> Iterator[str]:
         yield f"needs {', '.join(strange)}"
 
 
-def _mach_o(library: lief.MachO.FatBinary, processor: str) -> Iterator[str]:
-    (binary,) = library
+def _mach_o(library: lief.MachO.Binary, processor: str) -> Iterator[str]:
     expected = {"x86_64": "X86_64", "aarch64": "ARM64"}[processor]
-    if binary.header.cpu_type.name != expected:
-        yield f"is for {binary.header.cpu_type.name}"
-    if strange := {str(needed.name) for needed in binary.libraries} - DYLIBS:
+    if library.header.cpu_type.name != expected:
+        yield f"is for {library.header.cpu_type.name}"
+    needed = {str(each.name) for each in library.libraries if each.command.name != "ID_DYLIB"}
+    if strange := needed - DYLIBS:
         yield f"needs {', '.join(sorted(strange))}"
-    oldest = binary.build_version.minos if binary.build_version else binary.version_min.version
+    oldest = library.build_version.minos if library.build_version else library.version_min.version
     if list(oldest)[:2] != [11, 0]:
         yield f"needs macOS {oldest}, and the wheel says 11.0"
-    if processor == "aarch64" and not binary.has_code_signature:
+    if processor == "aarch64" and not library.has_code_signature:
         yield "is not signed, without which Apple's processors load nothing"
 
 

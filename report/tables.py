@@ -46,13 +46,16 @@ FIGURES = {
     "psnr_dynamic": Figure("dB where things move", "{:.2f}".format),
     "psnr_static": Figure("where nothing does", "{:.2f}".format),
     "last_dynamic": Figure("last frame", "{:.2f}".format),
+    "psnr_subject": Figure("of the subject", "{:.2f}".format),
     "mtv": Figure("flicker", "{:.4f}".format),
     "cpu": Figure("CPU-s", "{:.2f}".format),
     "megabytes": Figure("kB", kilobytes),
     "keyframe_bytes": Figure("kB of the keyframe", kilobytes),
     "keyframe_seconds": Figure("s of the keyframe", "{:.0f}".format),
     "first_bytes": Figure("kB of the first frame", lambda size: kilobytes(size / 1e6)),
+    "first_seconds": Figure("s to it at 2 Mbit/s", "{:.1f}".format),
     "later_bytes": Figure("kB", lambda size: kilobytes(size / 1e6)),
+    "read_ms": Figure("CPU-ms to read a frame", "{:.0f}".format),
     "gaussians": Figure("Gaussians", lambda count: f"{count:,.0f}".replace(",", " ")),
     "decode_fps": Figure("decoded frames a second", "{:.0f}".format),
     "selected": Figure("selected", "{:.1%}".format),
@@ -79,10 +82,16 @@ def filled(page: str, full: Path) -> str:
 
 
 def lines(rigs: dict[str, dict[str, Any]], questions: dict[str, str], keys: list[str]) -> list[str]:
-    """A table with a column for each rig. ``questions``: by their keys, their names here; ``keys``: of FIGURES."""
+    """A table with a column for each rig, of one rig for each figure, where questions have no names.
+
+    ``questions``: by their keys, their names here; ``keys``: of FIGURES.
+    """
+    named = any(name.strip() for name in questions.values())
+    if len(rigs) == 1 and not named:
+        return by_figure(*rigs.values(), questions, keys)
     units = ", ".join(FIGURES[key].heading for key in keys)
     headings = [f"`{rig}`" + (f": {units}" if number == 0 else "") for number, rig in enumerate(rigs)]
-    if any(name.strip() for name in questions.values()):
+    if named:
         rows = [[name.strip(), *(variants(rig, key, keys) for rig in rigs.values())] for key, name in questions.items()]
     else:
         rows = [row for key in questions for row in row_each(rigs, key, keys)]
@@ -92,6 +101,16 @@ def lines(rigs: dict[str, dict[str, Any]], questions: dict[str, str], keys: list
 def variants(rig: dict[str, Any], question: str, keys: list[str]) -> str:
     """All variants in one cell, a line each."""
     return "<br>".join(f"{row['description']}: {cell(row, keys)}" for row in rows_of(rig, question))
+
+
+def by_figure(rig: dict[str, Any], questions: dict[str, str], keys: list[str]) -> list[str]:
+    """A row for each variant, a column for each figure that any of them has."""
+    rows = {identity(row): row for question in questions for row in rows_of(rig, question) if "figures" in row}
+    units = {key: FIGURES[key].heading for key in keys}
+    shown = [key for key in keys if any(row["figures"].get(key) is not None for row in rows.values())]
+    cells = [[row["description"], *(written(row["figures"], key) for key in shown)] for row in rows.values()]
+    headings = ["", *(units[key] for key in shown)]
+    return ["| " + " | ".join(row) + " |" for row in [headings, ["---"] * len(headings), *cells]]
 
 
 def row_each(rigs: dict[str, dict[str, Any]], question: str, keys: list[str]) -> list[list[str]]:

@@ -1,15 +1,21 @@
-"""A rig with a flash and a click at the same instant, and where both are in what comes out of it."""
+"""A rig with a flash and a click at the same instant, and where both are in what comes out of it.
+
+python tests/flash_and_click.py prints how far apart they are in the .mp4 of a stream and of its edits.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import av
 import numpy as np
 
+from decogs.decoder import decode
+from decogs.decoder.editing import Concat, Operation, Retime, Speed, Trim, edit
 from decogs.encoder import PRESETS, EncodeSettings
 from encode_rig import encode_rig
 from videos_with_sound import write_video
@@ -19,6 +25,19 @@ CAMERAS = 4
 WIDTH, HEIGHT = 64, 48
 AHEAD = {"cam01": 3, "cam02": 1}
 """Frames by which recordings begin before the others."""
+SEGMENTS = {"segment": 5, "closed": True}
+
+EDITS: dict[str, tuple[list[Operation], list[float]]] = {
+    "trimmed": ([Trim(slice(7, 20))], [5]),
+    "trimmed-to-the-flash": ([Trim(slice(FLASH, 15))], [0]),
+    "trimmed-twice": ([Trim(slice(3, 20)), Trim(slice(6, 12))], [3]),
+    "slow": ([Retime(speeds=(Speed(0, None, 0.5, 0.5),))], [2 * FLASH]),
+    "fast": ([Retime(speeds=(Speed(0, None, 2.0, 2.0),))], [FLASH / 2]),
+    "slow-and-fast": ([Retime(speeds=(Speed(0, 8, 0.5, 0.5), Speed(14, None, 3.0, 3.0)))], [FLASH + 8]),
+    "held": ([Retime(holds=((4, 9),))], [FLASH + 9]),
+    "trimmed-and-slow": ([Trim(slice(8, 18)), Retime(speeds=(Speed(0, None, 0.25, 0.25),))], [16]),
+}
+"""By name, what is done, and the frames in which it flashes then."""
 
 
 def few() -> EncodeSettings:
@@ -102,3 +121,26 @@ def onsets(heard: np.ndarray) -> list[int]:
     """Samples at which a quarter of the loudest level is reached after a tenth of a second of less."""
     loud = np.flatnonzero(np.abs(heard) > 0.25 * np.abs(heard).max())
     return [int(at) for at, before in zip(loud, [-48_000, *loud[:-1]], strict=True) if at - before > 4_800]
+
+
+def main() -> None:
+    """Prints a row for each way, in milliseconds: how much later the click is than the flash in the .mp4."""
+    folder = Path(tempfile.mkdtemp())
+    rig = write_flashing_rig(folder / "rig")
+    streams = {"encoded": encoded(rig, folder / "scene.dgs"), "in segments": encoded(rig, folder / "s.dgs", **SEGMENTS)}
+    for name, (operations, _) in EDITS.items():
+        streams[name] = folder / f"{name}.dgs"
+        edit(streams["in segments"], streams[name], operations)
+    others = {"joined": [Trim(slice(2, 19)), Concat((streams["trimmed"],))], "at 20 a second": [Retime(fps=20.0)]}
+    for name, operations in others.items():
+        streams[name] = folder / f"{name}.dgs"
+        edit(streams["encoded"], streams[name], operations)
+    for name, stream in streams.items():
+        video = stream.with_suffix(".mp4")
+        decode(stream, video, view="cam00")
+        apart = [heard - seen for seen, heard in zip(flash_of(video), clicks_of(video), strict=True)]
+        print(f"{name:<24}", *(f"{1000 * each:7.3f}" for each in apart))
+
+
+if __name__ == "__main__":
+    main()

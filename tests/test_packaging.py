@@ -35,7 +35,8 @@ def requirements(pyproject: dict[str, Any]) -> list[Requirement]:
     project = pyproject["project"]
     extras = project["optional-dependencies"].values()
     lines = [*project["dependencies"], *(line for extra in extras for line in extra)]
-    return [Requirement(line) for line in [*lines, *pyproject["build-system"]["requires"]]]
+    given = [Requirement(line) for line in [*lines, *pyproject["build-system"]["requires"]]]
+    return [one for one in given if one.name != "decogs"]  # as extras build upon each other
 
 
 def pins() -> dict[str, list[Requirement]]:

@@ -56,6 +56,16 @@ def test_a_question_gets_a_row_for_each_variant(script: dict[str, Any], full: Pa
     assert script["filled"](made, full) == made
 
 
+def test_a_single_rig_gets_a_column_for_each_figure(script: dict[str, Any], full: Path) -> None:
+    page = PAGE.format("some.json:b | psnr_dynamic mtv megabytes\nsteps:")
+    assert table(script["filled"](page, full)) == [
+        "|  | dB where things move | kB |",
+        "| --- | --- | --- |",
+        "| 0 steps | 30.00 ± 0.13 | 7.9 |",
+        "| 1 steps | 30.00 ± 0.13 | 7.9 |",
+    ]
+
+
 def test_several_questions_get_a_row_each(script: dict[str, Any], full: Path) -> None:
     page = PAGE.format("some.json:a | psnr_dynamic\nsteps: training steps\nother: the other")
     assert table(script["filled"](page, full))[2:] == [

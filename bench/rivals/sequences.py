@@ -27,10 +27,11 @@ Frames = Callable[[], Iterator[SceneFrame]]
 
 @dataclass(frozen=True)
 class Sizes:
-    """Bytes on disk: what has to be there before the first frame shows, and all."""
+    """Bytes on disk: of the first frame, of all, and what has to be there before the first shows where that is more."""
 
     first: int
     total: int
+    wait: int = 0
 
 
 class Coder(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sysconfig
@@ -40,7 +41,10 @@ class Splat4d:
         return None if _command() else "not installed"
 
     def write(self, frames: Frames, folder: Path) -> Sizes:
-        """The first frame's bytes are those of a file of that frame alone: the whole one does not separate them."""
+        """The first frame's bytes are those of a file of that frame alone: the whole one does not separate them.
+
+        It shows once the first group of (30) frames is there: they are one compressed block.
+        """
         series, alone = folder / "series", folder / "alone"
         series.mkdir()
         alone.mkdir()
@@ -48,10 +52,12 @@ class Splat4d:
         for count, table in enumerate(of_one_length(frames), 1):
             (series / f"frame_{count - 1:06d}.splat").write_bytes(table.tobytes())
         shutil.copy(series / "frame_000000.splat", alone)
-        sizes = Sizes(self._encode(alone, folder / _FIRST), self._encode(series, folder / _STREAM))
+        first, total = self._encode(alone, folder / _FIRST), self._encode(series, folder / _STREAM)
+        facts, _ = json.JSONDecoder().raw_decode(_run("info", str(folder / _STREAM)))
+        group = facts["gops"][0]
         (folder / "count").write_text(str(count))
         shutil.rmtree(series)
-        return sizes
+        return Sizes(first, total, group["offset"] + group["len"])
 
     def read(self, folder: Path) -> Iterator[Splats]:
         decoded = folder / _DECODED
@@ -98,10 +104,11 @@ def _command() -> str | None:
     return shutil.which("splat4d") or shutil.which("splat4d", path=sysconfig.get_path("scripts"))
 
 
-def _run(*arguments: str) -> None:
+def _run(*arguments: str) -> str:
     command = _command()
     assert command is not None
     done = subprocess.run([command, *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or ["no reason given"])[0]
         raise UsageError(f"splat4d {arguments[0]}: {reason}")
+    return done.stdout

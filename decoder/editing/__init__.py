@@ -4,6 +4,7 @@
 """
 
 from .editing import EditReport, edit
+from .operations.audio import Audio
 from .operations.base import Operation
 from .operations.cameras import Cameras
 from .operations.clean import Clean
@@ -13,7 +14,6 @@ from .operations.grade import Grade
 from .operations.merge import Merge
 from .operations.retime import Retime, Speed
 from .operations.set import Set
-from .operations.sound import AddSound
 from .operations.strip import Strip
 from .operations.transform import Transform
 from .operations.trim import Trim
@@ -21,7 +21,7 @@ from .recipe import read_recipe
 from .regions import Box, Polygon, Region, Sphere
 
 __all__ = [
-    "AddSound",
+    "Audio",
     "Box",
     "Cameras",
     "Clean",

@@ -222,20 +222,38 @@ def _with_lenses_of(lenses: Given, mapped: Mapped, matched: Matched) -> Mapped:
 
 
 def _adjust(model: Any, *, focal: bool, bends: bool, centre: bool) -> None:
-    """Bundle adjustment with this of the lenses free, which leaves out what is far off, twice."""
+    """Bundle adjustment with this of the lenses free, which leaves out what is far off, twice.
+
+    The second time a residual counts by how it compares with the usual one: points that slide along edges are off by
+    less than what is left out, agree with one another, and bend few cameras' focal lengths.
+    """
     pycolmap = require_pycolmap()
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_focal_length, options.refine_extra_params, options.refine_principal_point = focal, bends, centre
-    options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     options.ceres.solver_options.num_threads = 1
     config = pycolmap.BundleAdjustmentConfig()
     for image in model.reg_image_ids():
         config.add_image(image)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    for _ in range(2):
+    losses = pycolmap.LossFunctionType
+    for options.ceres.loss_function_type in (losses.SOFT_L1, losses.CAUCHY):
         pycolmap.create_default_bundle_adjuster(options, config, model).solve()
         pycolmap.ObservationManager(model).filter_all_points3D(_MAX_ERROR_PIXELS, _MIN_ANGLE)
+        options.ceres.loss_function_scale = _usual_residual(model)
+
+
+def _usual_residual(model: Any) -> float:
+    """The median distance of a point from where a picture shows it, pixels."""
+    distances = [
+        np.linalg.norm(
+            model.images[seen.image_id].project_point(point.xyz)
+            - model.images[seen.image_id].points2D[seen.point2D_idx].xy
+        )
+        for point in model.points3D.values()
+        for seen in point.track.elements
+    ]
+    return float(np.median(distances)) if distances else 1.0
 
 
 def _given_camera(lens: Lens, size: tuple[int, int]) -> Any:

@@ -15,7 +15,7 @@ from decogs.decoder.sound.packets import FrameSound
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import FrameSource, Rig
 from decogs.formats.rigs.sources import CutSource
-from decogs.formats.soundtracks import RATE, read_samples, read_sound, sound_channels
+from decogs.formats.soundtracks import RATE, read_samples, read_sound, sound_channels, sound_title
 from decogs.formats.videos import VideoSource
 
 AUTO, NONE = "auto", "none"
@@ -73,7 +73,7 @@ def sound_source(
     channels = sound_channels(path)
     if channels is None:
         raise UsageError(f"`audio` {audio}: has no sound; name a file that has, or a camera")
-    return SoundSource(path, SoundTrack(channels, path.name), rig.fps, first / rig.fps)
+    return SoundSource(path, SoundTrack(channels, sound_title(path)), rig.fps, first / rig.fps)
 
 
 def _of_camera(name: str, source: FrameSource, fps: float, first: int) -> SoundSource:
@@ -108,6 +108,8 @@ def _clearest(cameras: dict[str, FrameSource]) -> str | None:
         if sound is not None and len(sound.samples) >= 2 * _WINDOW:
             whole = sound.samples[: len(sound.samples) // _WINDOW * _WINDOW].astype(np.float64).reshape(-1, _WINDOW)
             energies = (whole**2).mean(axis=1)
+            if energies.max() <= _SILENCE:
+                continue
             is_clipped = bool((np.abs(whole) >= 1).mean() > _CLIPPED)
             found[name] = (not is_clipped, float(energies.mean() / max(np.percentile(energies, 10), _SILENCE)))
     return max(found, key=lambda name: found[name], default=None)

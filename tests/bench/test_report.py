@@ -25,6 +25,7 @@ from decogs.bench.rates import CURVES
 from decogs.bench.report import CHOICES, NONE, PAPER, RATES, make_report
 from decogs.bench.rivals import splat4d
 from decogs.bench.rivals.float_arrays import FloatDeltas
+from decogs.bench.rivals.fourdgs import FourDGS
 from decogs.bench.rivals.sequences import FilePerFrame, Rival
 from decogs.bench.runs import BenchOptions
 from decogs.bench.variants import Question, Variant
@@ -216,7 +217,16 @@ def test_rivals_keep_the_frames_of_the_finest_stream(
     assert not (tmp_path / "streams").exists()
     rig = json.loads((tmp_path / "race.json").read_text())["rigs"]["three"]
     fine, coarse = (row["figures"] for row in rig["questions"]["rates"])
-    ply, spz, deltas = (row["figures"] for row in rig["rivals"])
+    ours, _, ply, spz, deltas = (row["figures"] for row in rig["rivals"])
+    assert ours["psnr"] == pytest.approx(fine["psnr"])
+    assert ours["later_bytes"] == pytest.approx(1e6 * fine["megabytes"])
+    for row in (ours, ply, spz, deltas):
+        assert row["first_seconds"] == pytest.approx(8 * row["first_bytes"] / 2e6)
+        assert row["read_ms"] > 0
+        assert row["psnr_subject"] is None, "the rig has no mattes"
+    assert ours["mtv"] == pytest.approx(fine["mtv"])
+    assert deltas["mtv"] == pytest.approx(fine["mtv"], rel=1e-6)
+    assert spz["mtv"] > 2 * fine["mtv"], "each frame is rounded by itself"
     assert coarse["megabytes"] < fine["megabytes"]
     for lossless in (ply, deltas):
         assert lossless["psnr"] == pytest.approx(fine["psnr"], rel=1e-6), "kept to seven digits"
@@ -227,7 +237,7 @@ def test_rivals_keep_the_frames_of_the_finest_stream(
     assert ply["frame_bytes"] == pytest.approx((ply["first_bytes"] + 2 * ply["later_bytes"]) / 3)
     text = path.read_text()
     (line,) = [line for line in text.splitlines() if line.startswith("| decogs, fine |")]
-    assert [cell.strip() for cell in line.split("|")][7] == "1.00", "times itself"
+    assert [cell.strip() for cell in line.split("|")][10] == "1.00", "times itself"
     assert "- spz: Coarse." in text
     named = re.findall(r"`(three-\S+-[0-9a-f]{10})`", text)
     assert all((tmp_path / "runs" / f"{name}.json").is_file() for name in named)
@@ -250,15 +260,16 @@ def test_a_rival_that_fails_is_said_and_the_others_go_on(
     said: list[str] = []
     text = make_report(RACE, [three_frames], tmp_path, OPTIONS, on_warning=said.append).read_text()
     assert said == ["three spz: spz: out of luck"]
-    assert "| a .spz each | – | – | – | – | – | – | – | spz: out of luck |" in text
+    assert f"| a .spz each {11 * '| – '}| spz: out of luck |" in text
     assert "| float32 that changes | – |" not in text
 
 
 def test_what_is_not_installed_is_said(three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(splat4d, "_command", lambda: None)
+    monkeypatch.setattr(FourDGS, "missing", lambda self: "not installed")
     text = make_report(replace(RATES, figures={}), [three_frames], tmp_path, OPTIONS, only=["none"]).read_text()
-    assert text.count("| not installed |") == 4
-    assert text.count("| not run |") == 4 + 10, "streams, and rivals that need nothing"
+    assert text.count("| not installed |") == 4 + 4
+    assert text.count("| not run |") == 4 + 11, "streams, and rivals that need nothing"
 
 
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'")

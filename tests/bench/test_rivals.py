@@ -10,15 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.bench.rivals import splat4d
+from decogs.bench.rivals import fourdgs, splat4d
 from decogs.bench.rivals.float_arrays import FloatArrays, FloatDeltas
-from decogs.bench.rivals.sequences import Coder, FilePerFrame, FrameFormat, SceneFrame, WithoutDirections
+from decogs.bench.rivals.fourdgs import FourDGS
+from decogs.bench.rivals.sequences import Coder, FilePerFrame, FrameFormat, SceneFrame, Sizes, WithoutDirections
 from decogs.bench.rivals.splat4d import Splat4d, of_one_length
 from decogs.formats.errors import UsageError
 from decogs.formats.splat_files.ply import Ply
+from decogs.formats.splat_files.quantised import opacities, unit_rotations
 from decogs.formats.splat_files.splat import RECORD, Splat
 from decogs.formats.splat_files.spz import Spz
-from decogs.formats.splats import Splats, join_splats, take_splats
+from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
 from random_splats import random_splats
 
 
@@ -59,7 +61,7 @@ def test_float_deltas_hold_what_changes_only(tmp_path: Path) -> None:
     assert third < 40, "three counts and a zstd frame around them"
 
 
-@pytest.mark.parametrize("file_format", [Spz(), Spz(14, 8, 8), Splat()], ids=repr)
+@pytest.mark.parametrize("file_format", [Spz(), Spz(14, 8, 8), Spz(version=4), Splat()], ids=repr)
 def test_files_per_frame_are_counted_as_they_lie_on_disk(file_format: FrameFormat, tmp_path: Path) -> None:
     frames = a_sequence()
     coder = FilePerFrame(file_format)
@@ -95,7 +97,9 @@ FAKE_SPLAT4D = f"""#!{sys.executable}
 import pathlib, sys
 kind, arguments = sys.argv[1], sys.argv[2:]
 value = lambda name: pathlib.Path(arguments[arguments.index(name) + 1])
-if kind == "encode":
+if kind == "info":
+    print('{{"gops": [{{"offset": 100, "len": 60}}, {{"offset": 160, "len": 9}}]}}')
+elif kind == "encode":
     assert "--pos-mm=2" in arguments and "--rot-steps=1" in arguments and "--scale-pct=2.5" in arguments
     value("-o").write_bytes(b"".join(path.read_bytes() for path in sorted(value("-i").iterdir())))
 else:
@@ -123,7 +127,7 @@ def test_splat4d_is_given_the_sequence_and_asked_for_each_frame(fake_command: Pa
     coder = Splat4d(2, 4, 1, 2.5)
     assert coder.missing() is None
     sizes = coder.write(lambda: iter(frames), folder)
-    assert (sizes.first, sizes.total) == (8 * RECORD.itemsize, 3 * 8 * RECORD.itemsize)
+    assert sizes == Sizes(8 * RECORD.itemsize, 3 * 8 * RECORD.itemsize, 160)
     for found, frame in zip(coder.read(folder), frames, strict=True):
         shown = found.opacity_logits > -10
         np.testing.assert_array_equal(found.means[shown], frame.splats.means)
@@ -146,8 +150,33 @@ def test_the_real_splat4d_keeps_its_bounds(tmp_path: Path) -> None:
     frames = a_sequence()
     coder = Splat4d(2, 4, 0, 2)
     sizes = coder.write(lambda: iter(frames), tmp_path)
-    assert 0 < sizes.first < sizes.total
+    assert 0 < sizes.first < sizes.total == sizes.wait, "three frames are one group"
     for found, frame in zip(coder.read(tmp_path), frames, strict=True):
         assert len(found) == 8, "in an order of its own"
         nearest = np.linalg.norm(found.means[None] - frame.splats.means[:, None], axis=2).min(axis=1)
         assert nearest.max() <= np.sqrt(3) * 0.002 * 1.001
+
+
+def test_fourdgs_may_not_be_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fourdgs.importlib.util, "find_spec", lambda name: None)
+    assert FourDGS("fine").missing() == "not installed"
+
+
+@pytest.mark.skipif(FourDGS("fine").missing() is not None, reason="needs the PyPI package fourdgs")
+@pytest.mark.parametrize("coder", [FourDGS("fine"), FourDGS("coarse", 2, None)], ids=repr)
+def test_the_real_fourdgs_keeps_its_bounds(coder: FourDGS, tmp_path: Path) -> None:
+    frames = a_sequence()
+    sizes = coder.write(lambda: iter(frames), tmp_path)
+    (file,) = tmp_path.iterdir()
+    assert 0 < sizes.first < sizes.total == file.stat().st_size
+    share, levels, size = {"fine": (0.02, 0.5, 0.005), "coarse": (0.2, 3, 0.06)}[coder.profile]
+    scales = np.exp(np.concatenate([frame.splats.log_scales for frame in frames]))
+    for found, frame in zip(coder.read(tmp_path), frames, strict=True):
+        kept = frame.splats
+        assert np.abs(found.means - kept.means).max() <= share * np.median(scales) * 1.001  # float32
+        assert np.abs(found.log_scales - kept.log_scales).max() <= np.log1p(size) + 1e-6
+        colours = [np.clip(SH_C0 * splats.sh[:, 0] + 0.5, 0, 1) for splats in (found, kept)]
+        assert 255 * np.abs(colours[0] - colours[1]).max() <= levels + 1e-3
+        turned = np.abs((unit_rotations(found) * unit_rotations(kept)).sum(axis=1))
+        assert turned.min() > 0.999
+        assert 255 * np.abs(opacities(found) - opacities(kept)).max() <= levels + 1e-3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -222,3 +223,22 @@ def test_impossible_options_are_refused(three_frames: Path, tmp_path: Path, chan
     with pytest.raises(UsageError, match=message):
         RigBench(three_frames, tmp_path, replace(OPTIONS, **change))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_subject_is_measured_where_a_rig_has_mattes(three_frames: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "matted"
+    shutil.copytree(three_frames, rig)
+    matte = np.zeros((48, 64), np.uint8)
+    matte[10:30, 20:40] = 255
+    (rig / "truth/mattes/cam02").mkdir(parents=True)
+    cv2.imwrite(str(rig / "truth/mattes/cam02/0001.png"), matte)
+    bench = RigBench(rig, tmp_path / "report", OPTIONS)
+    run = bench.run(PRESET, keep_stream=True)
+    with open_stream(bench.stream(PRESET)) as stream:
+        seen = to_8bit(render_view(stream.header, list(stream.frames())[1].splats, "cam02").image)
+    errors = square_error_map(seen, cv2.imread(str(rig / "cam02/0001.png"))[..., ::-1])
+    assert [frame.psnr_subject for frame in run.frames] == [
+        None,
+        pytest.approx(psnr(errors, matte > 0), rel=1e-6),  # seven digits are kept
+        None,
+    ]

@@ -108,6 +108,20 @@ def main(extension: str, stream: str, usd: str, folder: str) -> None:
         facts["render_seconds"].append(render(out / f"usd_{end}.png", frame))
         facts["usd_instances"].append(instances())
 
+    # In place of the scene's own: two files that a transform has turned, scaled and shifted.
+    empty_scene()
+    bpy.ops.import_scene.decogs(filepath=str(out / "turned.dgs"), up="none")
+    splats = next(item for item in bpy.context.scene.objects if item.decogs.path)
+    local = np.zeros(3 * len(splats.data.vertices), np.float32)
+    splats.data.vertices.foreach_get("co", local)
+    world = np.array(splats.matrix_world)
+    np.save(out / "turned_points.npy", local.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3])
+    empty_scene()
+    bpy.ops.wm.usd_import(filepath=str(out / "turned.usdc"))
+    graph = bpy.context.evaluated_depsgraph_get()
+    placed = [np.array(item.matrix_world)[:3, 3] for item in graph.object_instances if item.is_instance]
+    np.save(out / "turned_instances.npy", np.array(placed))
+
     whole = Path(stream).read_bytes()
     damaged = out / "damaged.dgs"
     damaged.write_bytes(whole[: len(whole) * 98 // 100])

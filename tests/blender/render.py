@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder import decode, export, open_stream
+from decogs.decoder.editing import Crop, Sphere, Transform, Trim, edit
 from decogs.decoder.free_camera import read_free_cameras
 from decogs.encoder import EncodeJob, encode
 
@@ -87,6 +88,20 @@ def check_camera(stream: Path, folder: Path) -> None:
         np.testing.assert_allclose(camera.cy, rig.cy + 0.03 * rig.width, atol=0.01)
 
 
+def check_turned(folder: Path) -> None:
+    """A transform's scene is in Blender where the decoder has it: in float32, 10 units from the origin."""
+    with open_stream(folder / "turned.dgs") as opened:
+        expected = next(opened.frames()).splats.means
+    points, instances = np.load(folder / "turned_points.npy"), np.load(folder / "turned_instances.npy")
+    np.testing.assert_array_equal(points, expected)
+    # The file's up is Y, Blender's Z; the order is the file's own.
+    upright = expected[:, [0, 2, 1]] * np.float32([1, -1, 1])
+    apart = np.linalg.norm(instances[:, None] - upright[None], axis=2)
+    assert instances.shape == upright.shape
+    assert max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 1e-5
+    print(f"transform    {len(points)} points, {apart.min(axis=0).max():.1e} units off by USD, none by the add-on")
+
+
 def main(python: str, extension: str, folder: str) -> None:
     out = Path(folder).resolve()
     shutil.rmtree(out, ignore_errors=True)
@@ -96,6 +111,9 @@ def main(python: str, extension: str, folder: str) -> None:
     with_header(stream, out / "subject.dgs", subject=True)
     decode(stream, out / "decoded", view="cam00", undistorted=True, drift_free=True)
     export(stream, usd)
+    turned = Transform(turns=(("X", 40.0), ("Z", 25.0)), scale=2.5, shift=(1.0, -2.0, 0.5))
+    edit(stream, out / "turned.dgs", [Trim(slice(0, 1)), Crop(Sphere((0.0, 0.0, 0.0), 1.0)), turned])
+    export(out / "turned.dgs", out / "turned.usdc", up="none")
     script = Path(__file__).with_name("in_blender.py")
     settings = out / "blender-settings"
     subprocess.run(
@@ -111,6 +129,7 @@ def main(python: str, extension: str, folder: str) -> None:
     check(facts, stream, out)
     decoded = sorted((out / "decoded").iterdir())
     check_camera(stream, out)
+    check_turned(out)
     compare("first frame", out / "stream_0.png", decoded[0])
     compare("last frame", out / "stream_1.png", decoded[-1])
     compare("USD, first", out / "usd_0.png", decoded[0])

@@ -104,6 +104,9 @@ def test_it_is_told_by_info(sounding: Path, small_stream, capsys: pytest.Capture
     facts = info(sounding, strict=True)
     assert [(sound.track.title, sound.track.channels) for sound in facts.sounds] == [("mix", 2), ("voice", 1)]
     assert sum(sound.bytes for sound in facts.sounds) < sounding.stat().st_size - small_stream.path.stat().st_size
+    sizes = facts.totals["bytes_by_purpose"]
+    assert sizes["sound"] == sum(sound.bytes for sound in facts.sounds)
+    assert sum(sizes.values()) == facts.file_bytes
     assert info_main([str(sounding)]) == 0
     assert re.search(
         r"^sound +voice: Opus, mono, 48000 Hz, 0\.\d\d s, .*, at 1,2,3$", capsys.readouterr().out, re.MULTILINE
@@ -156,10 +159,15 @@ def test_a_film_of_another_rate_or_on_wish_has_none(sounding: Path, tmp_path: Pa
     assert [has_sound(name) for name in ("with.mp4", "without.mp4")] == [True, False]
     camera = {"width": 64, "height": 48, "fov_y": 50, "position": [0, 0, -1], "look_at": [0, 0, 2], "up": [0, -1, 0]}
     (tmp_path / "path.json").write_text(json.dumps([{"frame": frame, **camera} for frame in (0, 4, 2)]))
+    decode(sounding, tmp_path / "part.mp4", camera=tmp_path / "path.json", frames=slice(0, 1))
+    assert has_sound("part.mp4")  # pictures that show frame after frame have it
     warnings: list[str] = []
     decode(sounding, tmp_path / "path.mp4", camera=tmp_path / "path.json", on_warning=warnings.append)
     assert not has_sound("path.mp4")
-    assert any("sound does not go" in text for text in warnings)
+    assert any("its sound is left out" in text for text in warnings)
+    warnings.clear()
+    decode(sounding, tmp_path / "pictures", camera=tmp_path / "path.json", on_warning=warnings.append)
+    assert not warnings
 
 
 @pytest.mark.parametrize("place", [0, 4, 7])

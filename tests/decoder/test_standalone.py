@@ -129,7 +129,7 @@ def test_without_an_extra_a_command_says_which_one(
 ) -> None:
     (tmp_path / "camera.usda").write_text("#usda 1.0\n")
     options = [str(tmp_path / "camera.usda") if option == "camera.usda" else option for option in options]
-    arguments = [str(small_stream.path), "-o", str(tmp_path / output), *options]
+    arguments = [str(small_stream.path), "-o", str(tmp_path / output), "--quiet", *options]
     result = run(BLOCKED + MAIN.format(command), OF_EXTRAS, *arguments)
     assert (result.returncode, result.stderr.splitlines()) == (2, [f"decogs-{command}: error: {said}"])
     assert not (tmp_path / output).exists()

@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 import sys
+import wave
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -83,6 +84,9 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
     write_board_videos(tmp_path / "videos_dir")
     (tmp_path / "lens_dir").symlink_to(tmp_path / "videos_dir")
     write_phone_videos(tmp_path / "phones")
+    with wave.open(str(tmp_path / "mix.wav"), "wb") as mix:
+        mix.setparams((2, 2, 48_000, 48_000, "NONE", ""))
+        mix.writeframes(np.random.default_rng(0).integers(-9000, 9000, 96_000).astype("<i2").tobytes())
     short = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),

@@ -9,15 +9,26 @@ import numpy as np
 import pytest
 
 from decogs.decoder import decode, decode_sound, info, open_stream
-from decogs.decoder.editing import Concat, Operation, Retime, Speed, Trim, edit
+from decogs.decoder.editing import Concat, Retime, Trim, edit
 from decogs.encoder import join
 from decogs.formats.errors import UsageError
 from encode_rig import encode_rig
-from flash_and_click import FLASH, FPS, FRAMES, clicks_of, encoded, few, flash_of, picture, write_flashing_rig
+from flash_and_click import (
+    EDITS,
+    FLASH,
+    FPS,
+    FRAMES,
+    SEGMENTS,
+    clicks_of,
+    encoded,
+    few,
+    flash_of,
+    picture,
+    write_flashing_rig,
+)
 from videos_with_sound import write_video
 
 MILLISECOND = 0.001
-SEGMENTS = {"segment": 5, "closed": True}
 
 
 @pytest.fixture(scope="module")
@@ -57,18 +68,6 @@ def test_a_cameras_sound_is_in_step_with_the_rigs_pictures(name: str, request: p
     (track,) = info(path).sounds
     assert (track.track.title, track.track.channels) == ("cam01", 1)
     assert track.seconds == pytest.approx(FRAMES / FPS, abs=0.03)
-
-
-EDITS: dict[str, tuple[list[Operation], list[float]]] = {
-    "trimmed": ([Trim(slice(7, 20))], [5]),
-    "trimmed-to-the-flash": ([Trim(slice(FLASH, 15))], [0]),
-    "trimmed-twice": ([Trim(slice(3, 20)), Trim(slice(6, 12))], [3]),
-    "slow": ([Retime(speeds=(Speed(0, None, 0.5, 0.5),))], [2 * FLASH]),
-    "fast": ([Retime(speeds=(Speed(0, None, 2.0, 2.0),))], [FLASH / 2]),
-    "slow-and-fast": ([Retime(speeds=(Speed(0, 8, 0.5, 0.5), Speed(14, None, 3.0, 3.0)))], [FLASH + 8]),
-    "held": ([Retime(holds=((4, 9),))], [FLASH + 9]),
-    "trimmed-and-slow": ([Trim(slice(8, 18)), Retime(speeds=(Speed(0, None, 0.25, 0.25),))], [16]),
-}
 
 
 @pytest.mark.parametrize("name", EDITS)

@@ -20,6 +20,7 @@ from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.presentation import Presentation
+from decogs.codec.sound import SoundTrack
 from decogs.codec.state import take_rows
 from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.decoder import open_stream
@@ -262,6 +263,8 @@ def main() -> None:
     write_stream(folder / "wide.dgs", 6000, 1, WIDE)
     ends = write_stream(folder / "long.dgs", 800, 0, LONG)
     with_sound(folder / "long.dgs", folder / "tones.dgs")
+    write_stream(folder / "placed.dgs", 300, 0, 40, presentation=SHOWN)
+    with_sound(folder / "placed.dgs", folder / "placed.dgs", [SoundTrack(1, position=(0.5, 0.25, 2.0))])
     for frame in (0, 7, 61, 130, 299):
         pictures.take("long", frame, "cam00")
     for rig in rigs:

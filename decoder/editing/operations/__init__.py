@@ -5,6 +5,7 @@ A new one is a file with a subclass of ``Operation``, and a line here.
 
 from __future__ import annotations
 
+from .audio import Audio
 from .base import Operation
 from .cameras import Cameras
 from .clean import Clean
@@ -14,7 +15,6 @@ from .grade import Grade
 from .merge import Merge
 from .retime import Retime
 from .set import Set
-from .sound import AddSound
 from .strip import Strip
 from .transform import Transform
 from .trim import Trim
@@ -30,7 +30,7 @@ _ALL: tuple[type[Operation], ...] = (
     Merge,
     Cameras,
     Set,
-    AddSound,
+    Audio,
     Strip,
 )
 

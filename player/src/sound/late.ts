@@ -10,6 +10,7 @@ export interface Place {
   readonly position: number;
   readonly frameCount: number;
   readonly rate: number;
+  readonly complete: boolean;
 }
 
 export class LateSound {
@@ -69,8 +70,9 @@ export class LateSound {
     return this.speaker?.elapsed() ?? null;
   }
 
-  keep({ position, frameCount, rate }: Place): void {
-    this.speaker?.keep(position, frameCount, rate);
+  keep({ position, frameCount, rate, complete }: Place): void {
+    // A frame's sound is known when the next one has come.
+    this.speaker?.keep(position, complete ? frameCount : frameCount - 1, rate);
   }
 
   rest(): void {

@@ -69,7 +69,7 @@ export class Speaker {
     return passed;
   }
 
-  /** Keeps in step with pictures: their place in frames, how many there are, and their speed. */
+  /** Keeps in step with pictures: their place in frames, of how many there is sound, and their speed. */
   keep(position: number, frameCount: number, rate: number): void {
     if (this.context.state !== "running" || rate < SLOWEST || rate > FASTEST) {
       this.rest();

@@ -1,5 +1,8 @@
 // Sound: what is put on the clock of Web Audio, and that pictures go by it. The stream's tone is another one each second.
 import assert from "node:assert/strict";
+import { appendFileSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { firefox, firefoxPath } from "./firefox.mjs";
 import { DATA, ready, started, until } from "./harness.mjs";
@@ -9,8 +12,12 @@ const [FIRST_TONE, STEP] = [400, 150];
 const FRAME = 1 / 30;
 
 let browser;
-before(async () => (browser = await started()));
-after(() => browser.close());
+const folder = mkdtempSync(join(tmpdir(), "decogs-sounding-"));
+before(async () => (browser = await started({ growing: folder })));
+after(async () => {
+  await browser.close();
+  rmSync(folder, { recursive: true, force: true });
+});
 
 /** Notes every source that is started, and where the pictures are by the sound's clock. */
 function listening() {
@@ -65,43 +72,41 @@ async function opened(query = "") {
   return page;
 }
 
-/** The tone at the beginning of each piece, by counting its zero crossings, and the time of Web Audio there; of those from one on. */
+/** Pieces from one on, by their time: when they sound, their tone, and the second of the stream with which they begin, where a second ends in them. */
 const piecesOf = (page, first = 0) =>
-  page.evaluate((first) =>
-    globalThis.heard.sources.slice(first).sort((one, other) => one.when - other.when).map(({ when, rate, samples, sampleRate, channels, stopped }) => {
-      const part = samples.subarray(2400, 12_000);
-      let crossings = 0;
-      for (let at = 1; at < part.length; at++) crossings += part[at - 1] < 0 !== part[at] < 0 ? 1 : 0;
-      // Every second begins and ends in silence: the quietest place of a piece that has one.
-      let quietest = -1;
-      for (let at = 0, least = 0.1; at + 48 < samples.length; at += 12) {
-        const level = samples.subarray(at, at + 48).reduce((most, value) => Math.max(most, Math.abs(value)), 0);
-        if (level < least) [least, quietest] = [level, at + 24];
-      }
-      return { when, rate, channels, stopped, hertz: crossings / 2 / (part.length / sampleRate), quietest: quietest < 0 ? null : quietest / sampleRate };
-    }), first,
+  page.evaluate(
+    ([first, lowest, step]) =>
+      globalThis.heard.sources
+        .slice(first)
+        .sort((one, other) => one.when - other.when)
+        .map(({ when, rate, samples, sampleRate, channels, stopped }) => {
+          const hertz = (from) => {
+            const part = samples.subarray(from * sampleRate, (from + 0.2) * sampleRate);
+            let crossings = 0;
+            for (let at = 1; at < part.length; at++) crossings += part[at - 1] < 0 !== part[at] < 0 ? 1 : 0;
+            return crossings / 2 / (part.length / sampleRate);
+          };
+          // Every second begins and ends in silence.
+          let [least, quietest] = [0.1, null];
+          for (let at = 0; at + 48 < samples.length; at += 12) {
+            const level = samples.subarray(at, at + 48).reduce((most, value) => Math.max(most, Math.abs(value)), 0);
+            if (level < least) [least, quietest] = [level, (at + 24) / sampleRate];
+          }
+          const second = (from) => Math.round((hertz(from) - lowest) / step);
+          const media = quietest === null ? null : quietest < 0.25 ? second(quietest + 0.02) - quietest : second(quietest - 0.22) + 1 - quietest;
+          return { when, rate, channels, stopped, second: second(0.05), media };
+        }),
+    [first, FIRST_TONE, STEP],
   );
-const secondOf = (hertz) => Math.round((hertz - FIRST_TONE) / STEP);
 
-/** How far pictures are from the sound that is heard at the same time, in seconds, by the pieces that were heard. */
-async function apart(page, from = -Infinity) {
+/** How far pictures are from the sound that is heard at the same time, in seconds, in pieces that tell their place. */
+async function apart(page) {
   const pieces = await piecesOf(page);
   const places = await page.evaluate(() => globalThis.heard.places);
-  return places.filter(([time]) => time > from).flatMap(([time, shown]) => {
+  return places.flatMap(([time, shown]) => {
     const piece = pieces.findLast(({ when, rate, stopped }) => when <= time && time < when + 0.5 / rate && time < stopped);
-    if (piece === undefined) return [];
-    // Pieces begin with half seconds or with the frame that was sought: their tone says which second, their place the rest.
-    const media = mediaAt(piece, pieces);
-    return media === null ? [] : [shown - (media + (time - piece.when) * piece.rate)];
+    return piece === undefined || piece.media === null ? [] : [shown - (piece.media + (time - piece.when) * piece.rate)];
   });
-}
-
-/** Seconds of the stream with which a piece begins: by the silence between two seconds in it, or in its neighbour. */
-function mediaAt(piece, pieces) {
-  if (piece.quietest !== null && piece.quietest > 0.05 && piece.quietest < 0.45) return secondOf(piece.hertz) + 1 - piece.quietest;
-  const neighbour = pieces.find(({ when, rate, quietest }) => quietest !== null && quietest > 0.05 && quietest < 0.45 && rate === piece.rate && Math.abs(Math.abs(when - piece.when) - 0.5 / rate) < 1e-3);
-  if (neighbour === undefined) return null;
-  return mediaAt(neighbour, []) + (piece.when - neighbour.when) * piece.rate;
 }
 
 test("sound and pictures go together, and a click begins both", async () => {
@@ -114,9 +119,10 @@ test("sound and pictures go together, and a click begins both", async () => {
   const pieces = await piecesOf(page);
   assert.ok(pieces.length >= 8, `${pieces.length} pieces`);
   assert.ok(pieces.every(({ channels }) => channels === 2));
-  // Pieces follow each other to the sample.
-  const played = pieces.filter(({ stopped }) => stopped === Infinity);
-  for (let at = 1; at < played.length; at++) assert.ok(Math.abs(played[at].when - played[at - 1].when - 0.5) < 1e-6, `piece ${at}`);
+  // Pieces follow each other to the sample, unless a busy machine has let pictures fall behind, when sound begins anew.
+  const off = pieces.slice(1).map(({ when }, at) => Math.abs(when - pieces[at].when - 0.5));
+  assert.ok(off.filter((each) => each < 1e-6).length >= 4, `they are off by ${off.join(", ")}`);
+  assert.ok(off.every((each) => each < 1e-6 || each > 1e-3), `they are off by ${off.join(", ")}`);
   const distances = await apart(page);
   assert.ok(distances.length > 10, `${distances.length} places`);
   const most = Math.max(...distances.map(Math.abs));
@@ -149,7 +155,7 @@ test("a seek, another speed, and silence at a pause", async () => {
   });
   await until(page, `globalThis.heard.sources.length > ${before + 2}`);
   const sought = await piecesOf(page, before);
-  assert.equal(secondOf(sought[0].hertz), 6);
+  assert.equal(sought[0].second, 6);
   const now = await page.evaluate(() => {
     document.querySelector("decogs-player").playbackRate = 0.5;
     return globalThis.heard.sources.length;
@@ -184,6 +190,43 @@ test("volume and mute, by the bar, by keys and by the page", async () => {
   await page.context().close();
 });
 
+test("sound with a place is heard from there, where the transform has it, by whoever looks", async () => {
+  const page = await browser.opened("placed", { width: 480, height: 270 });
+  await page.addInitScript(() => {
+    const Real = PannerNode;
+    globalThis.panners = [];
+    globalThis.PannerNode = class extends Real {
+      constructor(context, options) {
+        super(context, options);
+        globalThis.panners.push(this);
+      }
+    };
+  });
+  await page.reload();
+  await ready(page);
+  await until(page, "globalThis.panners.length === 1");
+  const told = await page.evaluate(async () => {
+    const player = document.querySelector("decogs-player");
+    await player.play();
+    await new Promise((done) => player.addEventListener("timeupdate", done, { once: true }));
+    const [panner] = globalThis.panners;
+    const { listener } = panner.context;
+    const three = (of, name) => ["X", "Y", "Z"].map((axis) => of[`${name}${axis}`].value);
+    const { centre, axes } = player.view.pose;
+    return { panner: three(panner, "position"), reference: panner.refDistance, position: three(listener, "position"), forward: three(listener, "forward"), centre, looks: axes[2], first: player.header.cameras[0].worldToCamera };
+  });
+  // s R x + t of the stream's presentation, tests/player/browser_data.py.
+  const [x, y, z] = [0.5, 0.25, 2];
+  const rows = [[1.915111107797445, -1.456408540173963, 0.679134455685461, 3], [1.606969024216348, 1.73568011003721, -0.809360927417662, -20], [0, 1.056545654351749, 2.265769467591625, 0.5]];
+  const near = (found, wanted) => found.forEach((value, axis) => assert.ok(Math.abs(value - wanted[axis]) < 1e-4, `${found} for ${wanted}`));
+  near(told.panner, rows.map((row) => row[0] * x + row[1] * y + row[2] * z + row[3]));
+  near(told.position, told.centre);
+  near(told.forward, told.looks);
+  const centre = [0, 1, 2].map((axis) => -told.first.reduce((sum, row) => sum + row[axis] * row[3], 0));
+  near([told.reference], [Math.hypot(...centre.map((value, axis) => value - told.panner[axis]))]);
+  await page.context().close();
+});
+
 test("a stream without sound has no controls of it, and its script does not come", async () => {
   const page = await browser.opened("long");
   await ready(page);
@@ -191,6 +234,35 @@ test("a stream without sound has no controls of it, and its script does not come
   assert.equal(await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector(".sound").hidden), true);
   const loaded = await page.evaluate(() => performance.getEntriesByType("resource").map(({ name }) => name));
   assert.ok(!loaded.some((name) => name.includes("decogs-sound")));
+  await page.context().close();
+});
+
+test("a stream that grows sounds on without a hole", async () => {
+  const whole = readFileSync(join(DATA, "tones.dgs"));
+  const path = join(folder, "tones.dgs");
+  writeFileSync(path, whole.subarray(0, Math.round(0.1 * whole.length)));
+  const page = await browser.opened("tones", { folder: "growing", query: "&follow", width: 480, height: 270 });
+  await page.addInitScript(listening);
+  await page.reload();
+  await ready(page);
+  await until(page, "globalThis.heard.context !== null && player.shadowRoot.querySelector('.bar') !== null");
+  await page.click(".play");
+  // As fast as it plays, so that the newest frame is always soon due.
+  for (let part = 2; part < 20; part++) {
+    appendFileSync(path, whole.subarray(Math.round((part / 20) * whole.length), Math.round(((part + 1) / 20) * whole.length)));
+    await new Promise((done) => setTimeout(done, 500));
+  }
+  await until(page, "player.ended", 60_000);
+  const holes = await page.evaluate(() =>
+    globalThis.heard.sources.sort((one, other) => one.when - other.when).map(({ samples }) => {
+      let longest = 0;
+      for (let at = 0, silent = 0; at < samples.length; at++) longest = Math.max(longest, (silent = samples[at] === 0 ? silent + 1 : 0));
+      return longest;
+    }),
+  );
+  assert.ok(holes.length >= 10, `${holes.length} pieces`);
+  // The last frame of all may have a block less.
+  assert.ok(Math.max(...holes.slice(0, -1)) < 100, `${Math.max(...holes)} samples of silence`);
   await page.context().close();
 });
 
@@ -229,7 +301,7 @@ test("sound in Firefox", { skip: firefoxPath === undefined ? "Firefox is not ins
       for (let at = 1; at < part.length; at++) crossings += part[at - 1] < 0 !== part[at] < 0 ? 1 : 0;
       return { hertz: crossings / 2 / (part.length / 48_000), apart: heard[1].when - heard[0].when };
     });
-    assert.equal(secondOf(told.hertz), 3);
+    assert.equal(Math.round((told.hertz - FIRST_TONE) / STEP), 3);
     assert.ok(Math.abs(told.apart - 0.5) < 1e-6);
   } finally {
     await other.close();

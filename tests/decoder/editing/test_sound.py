@@ -11,7 +11,7 @@ import pytest
 from decogs.codec.sound import RATE, SoundTrack, frame_start
 from decogs.decoder import decode_sound, open_stream
 from decogs.decoder.editing import (
-    AddSound,
+    Audio,
     Cameras,
     Concat,
     Crop,
@@ -114,7 +114,7 @@ def test_tracks_of_a_longer_list_go_on_and_silence_stands_for_those_that_are_non
 
 
 def test_merged_takes_sound_together_from_where_they_are(sounding: Path, tmp_path: Path) -> None:
-    placed = [AddSound(track=1, position=(1.0, 2.0, 3.0)), Transform(shift=(5.0, 0.0, 0.0), scale=2.0)]
+    placed = [Audio(track=1, position=(1.0, 2.0, 3.0)), Transform(shift=(5.0, 0.0, 0.0), scale=2.0)]
     edit(sounding, tmp_path / "moved.dgs", placed)
     assert header_of(tmp_path / "moved.dgs").sound[1].position == (1, 2, 3)
     edit(sounding, tmp_path / "out.dgs", [Merge(tmp_path / "moved.dgs")])
@@ -127,12 +127,12 @@ def test_merged_takes_sound_together_from_where_they_are(sounding: Path, tmp_pat
 
 
 def test_a_position_is_said_in_the_world_that_is_shown(sounding: Path, tmp_path: Path) -> None:
-    turned = [Transform(turns=(("Z", 90.0),), shift=(0.0, 0.0, 4.0)), AddSound(position=(0.0, 3.0, 4.0), title="hall")]
+    turned = [Transform(turns=(("Z", 90.0),), shift=(0.0, 0.0, 4.0)), Audio(position=(0.0, 3.0, 4.0), title="hall")]
     edit(sounding, tmp_path / "out.dgs", turned)
     mix, voice = header_of(tmp_path / "out.dgs").sound
     assert (mix.position, voice.title) == (None, "hall")
     assert voice.position == pytest.approx((3, 0, 0))
-    edit(tmp_path / "out.dgs", tmp_path / "none.dgs", [AddSound(nowhere=True)])
+    edit(tmp_path / "out.dgs", tmp_path / "none.dgs", [Audio(nowhere=True)])
     assert header_of(tmp_path / "none.dgs").sound[1] == SoundTrack(1, "hall")
 
 
@@ -140,7 +140,7 @@ def test_a_file_is_added_from_where_it_is_asked(segmented_stream, tmp_path: Path
     noise = np.random.default_rng(0).uniform(-0.5, 0.5, 2 * RATE).astype(np.float32)
     write_wav(tmp_path / "mix.wav", noise)
     for begin in (0.0, 0.25, -0.1):
-        edit(segmented_stream.path, tmp_path / "out.dgs", [AddSound(tmp_path / "mix.wav", begin=begin)])
+        edit(segmented_stream.path, tmp_path / "out.dgs", [Audio(tmp_path / "mix.wav", begin=begin)])
         (track,) = header_of(tmp_path / "out.dgs").sound
         assert track == SoundTrack(1, "mix.wav")
         lags = np.correlate(heard(tmp_path / "out.dgs")[0], noise[16_000:20_000], "valid")
@@ -181,13 +181,13 @@ def test_what_cannot_be_is_one_line(sounding: Path, segmented_stream, tmp_path: 
     (tmp_path / "noise.wav").write_bytes(b"not a sound" * 100)
     plain = str(segmented_stream.path)
     for arguments, message in (
-        ([str(sounding), "sound"], "nothing is to be done"),
-        ([plain, "sound", "--title", "a"], "there is no track 0; the stream has 0"),
-        ([str(sounding), "sound", "--track", "2", "--title", "a"], "there is no track 2; the stream has 2"),
-        ([plain, "sound", str(tmp_path / "noise.wav")], "cannot be read as audio"),
-        ([plain, "sound", str(tmp_path / "missing.wav")], "cannot be read as audio"),
+        ([str(sounding), "audio"], "nothing is to be done"),
+        ([plain, "audio", "--title", "a"], "there is no track 0; the stream has 0"),
+        ([str(sounding), "audio", "--track", "2", "--title", "a"], "there is no track 2; the stream has 2"),
+        ([plain, "audio", str(tmp_path / "noise.wav")], "cannot be read as audio"),
+        ([plain, "audio", str(tmp_path / "missing.wav")], "cannot be read as audio"),
         ([str(sounding), "retime", "--fps", "0.5"], "lacks a frame rate of at least 1"),
-        ([str(sounding), "sound", "--position", "1,2"], "'1,2'"),
+        ([str(sounding), "audio", "--position", "1,2"], "'1,2'"),
     ):
         assert edit_main([arguments[0], "-o", str(tmp_path / "out.dgs"), *arguments[1:]]) == 2
         assert message in capsys.readouterr().err
@@ -198,7 +198,7 @@ def test_sound_that_is_read_is_never_written_over(segmented_stream, sounding: Pa
     decode_sound(sounding, tmp_path / "mix.wav")
     before = (tmp_path / "mix.wav").read_bytes()
     with pytest.raises(UsageError, match="never replaces what it reads"):
-        edit(segmented_stream.path, tmp_path / "mix.wav", [AddSound(tmp_path / "mix.wav")])
+        edit(segmented_stream.path, tmp_path / "mix.wav", [Audio(tmp_path / "mix.wav")])
     assert (tmp_path / "mix.wav").read_bytes() == before
 
 

@@ -9,6 +9,7 @@
 #pragma once
 
 #include <array>
+#include <memory>
 
 #include "backward.h"
 #include "incremental_view.h"
@@ -128,7 +129,9 @@ class FixedView : public IncrementalView {
     };
 
     void weigh(int t, const uint8_t* marks, const Planes& out) {
-        static thread_local Weigher weigher;
+        // Of its own allocation: Windows aligns what is local to a thread to 16 bytes, and vectors are wider.
+        static thread_local const std::unique_ptr<Weigher> kept(new Weigher);
+        Weigher& weigher = *kept;
         weigher.marks = marks;
         weigher.in_all = in_all_.data();
         weigher.marked = marked_.data();

@@ -1,4 +1,4 @@
-"""``sound``: one more track, of a file, and what the header says of a track."""
+"""``audio``: one more track, of a file, and what the header says of a track."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .base import Opener, Operation
 
 
 @dataclass(frozen=True)
-class AddSound(Operation):
+class Audio(Operation):
     """Adds the sound of a file as a track, or says of one what it is and where it comes from. Frames keep their bits.
 
     ``path``: the file, which is heard from ``begin`` seconds on with frame 0; None adds none. ``title`` and
@@ -30,19 +30,19 @@ class AddSound(Operation):
     title: str | None = None
     position: tuple[float, float, float] | None = None
     nowhere: bool = False
-    name = "sound"
+    name = "audio"
     summary = "add a file's sound, say what a track is and where it comes from"
 
     def edit(self, take: Take, open_other: Opener) -> Take:
         """The same frames, with other sound. Raises UsageError for a file without sound, or a track that is none."""
-        if self == AddSound():
-            raise UsageError("sound: nothing is to be done; decogs-edit sound --help lists what can be")
+        if self == Audio():
+            raise UsageError("audio: nothing is to be done; decogs-edit audio --help lists what can be")
         if self.path is not None:
             take = self._added(take, self.path)
         tracks = list(take.header.sound)
         place = len(tracks) - 1 if self.track is None else self.track
         if not 0 <= place < len(tracks):
-            raise UsageError(f"sound: there is no track {max(place, 0)}; the stream has {len(tracks)}")
+            raise UsageError(f"audio: there is no track {max(place, 0)}; the stream has {len(tracks)}")
         track = tracks[place]
         title = track.title if self.title is None else self.title
         position = None if self.nowhere else track.position
@@ -50,20 +50,20 @@ class AddSound(Operation):
             x, y, z, _ = (take.header.presentation.similarity.inverse.matrix @ (*self.position, 1.0)).tolist()
             position = (x, y, z)
         tracks[place] = replace(track, title=title, position=position)
-        told = f"sound: track {place}" + (f", {title}" if title else "")
+        told = f"audio: track {place}" + (f", {title}" if title else "")
         return replace(take, header=replace(take.header, sound=tuple(tracks))).with_note(told)
 
     def _added(self, take: Take, path: Path) -> Take:
-        from decogs.formats.soundtracks import sound_channels
+        from decogs.formats.soundtracks import sound_channels, sound_title
 
         fps = take.header.fps
         if fps is None or fps < SLOWEST:
-            raise UsageError(f"sound: a stream needs a frame rate of at least {SLOWEST:g} for it; `retime` it before")
+            raise UsageError(f"audio: a stream needs a frame rate of at least {SLOWEST:g} for it; `retime` it before")
         channels = sound_channels(path)
         if channels is None:
             raise UsageError(f"{path}: has no sound; name a file that has")
         hear = with_file(take, path, channels, self.begin, fps)
-        header = replace(take.header, sound=(*take.header.sound, SoundTrack(channels, path.name)))
+        header = replace(take.header, sound=(*take.header.sound, SoundTrack(channels, sound_title(path))))
         return replace(take, header=header, hear=hear, sources=(*take.sources, path))
 
     @staticmethod
@@ -82,6 +82,6 @@ class AddSound(Operation):
         place.add_argument("--nowhere", action="store_true", help="from no place; as it is")
 
     @classmethod
-    def of_options(cls, options: argparse.Namespace) -> AddSound:
+    def of_options(cls, options: argparse.Namespace) -> Audio:
         """Of the options as they are named."""
         return cls(**vars(options))

@@ -1,0 +1,114 @@
+"""Samples of files: any rate and channels become 48 kHz at their own time, gaps silence, what is no sound an error."""
+
+from __future__ import annotations
+
+import wave
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from decogs.formats.errors import UsageError
+from decogs.formats.opus import BLOCK, OpusDecoder, OpusEncoder
+from decogs.formats.soundtracks import FULL_RATE, read_samples, sound_channels
+from videos_with_sound import write_video
+
+
+def write_click(path: Path, rate: int, channels: int = 1, seconds: float = 2.0, at: float = 0.5) -> None:
+    samples = np.zeros((int(seconds * rate), channels))
+    begin = int(at * rate)
+    samples[begin : begin + rate // 100] = 0.8
+    with wave.open(str(path), "wb") as file:
+        file.setparams((channels, 2, rate, len(samples), "NONE", ""))
+        file.writeframes((samples * 32767).astype("<i2").tobytes())
+
+
+def heard(path: Path, channels: int = 1, **options: object) -> np.ndarray:
+    return np.concatenate(list(read_samples(path, channels, **options)), axis=1)
+
+
+def onset(samples: np.ndarray) -> float:
+    return int(np.argmax(np.abs(samples[0]) > 0.4)) / FULL_RATE
+
+
+@pytest.mark.parametrize("rate", [8_000, 22_050, 44_100, 48_000, 96_000])
+@pytest.mark.parametrize(("channels", "kept"), [(1, 1), (2, 2), (6, 2)])
+def test_a_click_stays_at_its_time(tmp_path: Path, rate: int, channels: int, kept: int) -> None:
+    write_click(tmp_path / "a.wav", rate, channels)
+    assert sound_channels(tmp_path / "a.wav") == kept
+    samples = heard(tmp_path / "a.wav", kept)
+    # Half of the rise of what a filter for the lower of the two rates has left of the edge.
+    assert onset(samples) == pytest.approx(0.5, abs=1 / min(rate, FULL_RATE))
+    assert samples.shape == (kept, pytest.approx(2 * FULL_RATE, abs=64))
+    assert max(piece.shape[1] for piece in read_samples(tmp_path / "a.wav", kept)) <= FULL_RATE
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.123, 0.4999, -0.25])
+def test_it_begins_where_it_is_asked(tmp_path: Path, begin: float) -> None:
+    write_click(tmp_path / "a.wav", 44_100)
+    assert onset(heard(tmp_path / "a.wav", begin=begin)) == pytest.approx(0.5 - begin, abs=1 / 44_100)
+
+
+def test_a_video_is_heard_from_a_picture_on(tmp_path: Path) -> None:
+    pictures = np.full((30, 32, 32, 3), 90, np.uint8)
+    sound = np.zeros(48_000, np.float32)
+    sound[24_000:24_480] = 0.8
+    write_video(tmp_path / "a.mp4", pictures, sound, fps=30)
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        times = [frame.pts for frame in container.decode(video=0)]
+    for picture in (0, 7):
+        samples = heard(tmp_path / "a.mp4", picture=times[picture])
+        assert onset(samples) == pytest.approx(0.5 - picture / 30, abs=0.001)
+
+
+def test_a_gap_is_silence_and_what_follows_stays_in_its_place(tmp_path: Path) -> None:
+    """Blocks of a tone, of which some are missing, in a container that says when each begins."""
+    with av.open(str(tmp_path / "a.mkv"), "w") as file:
+        track = file.add_stream("pcm_s16le", rate=48_000, layout="mono")
+        for number in range(100):
+            if 20 <= number < 45:
+                continue
+            block = (np.full((1, 480), 12_000 if number == 70 else 2_000)).astype(np.int16)
+            frame = av.AudioFrame.from_ndarray(block, format="s16", layout="mono")
+            frame.sample_rate, frame.pts, frame.time_base = 48_000, number * 480, Fraction(1, 48_000)
+            file.mux(track.encode(frame))
+        file.mux(track.encode(None))
+    samples = heard(tmp_path / "a.mkv")
+    assert not samples[0, 20 * 480 + 96 : 45 * 480 - 96].any()
+    assert int(np.argmax(samples[0] > 0.3)) == pytest.approx(70 * 480, abs=72)  # Matroska's milliseconds
+    assert samples.shape[1] == pytest.approx(48_000, abs=72)
+
+
+def test_what_is_no_sound_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "noise.wav").write_bytes(b"not a sound" * 100)
+    write_video(tmp_path / "silent.mp4", np.full((3, 32, 32, 3), 90, np.uint8))
+    assert sound_channels(tmp_path / "silent.mp4") is None
+    with pytest.raises(UsageError, match=r"silent\.mp4: has no sound"):
+        heard(tmp_path / "silent.mp4")
+    for name in ("noise.wav", "missing.wav"):
+        with pytest.raises(UsageError, match=rf"{name}: cannot be read as audio"):
+            sound_channels(tmp_path / name)
+
+
+@pytest.mark.parametrize("channels", [1, 2])
+def test_opus_gives_a_click_back_at_its_sample(channels: int) -> None:
+    samples = np.zeros((channels, 10 * BLOCK), np.float32)
+    samples[:, 3000:3020] = 0.8
+    encoder, decoder = OpusEncoder(channels), OpusDecoder(channels)
+    blocks = [
+        block for start in range(0, 10 * BLOCK, BLOCK) for block in encoder.code(samples[:, start : start + BLOCK])
+    ]
+    blocks += encoder.finish()
+    decoded = np.concatenate([decoder.decode(block) for block in blocks], axis=1)
+    assert int(np.argmax(np.abs(decoded[0]) > 0.4)) - encoder.delay == 3000
+
+
+def test_bytes_that_are_no_block_are_silence() -> None:
+    rng, decoder = np.random.default_rng(0), OpusDecoder(2)
+    for size in [1, 2, 3, 100, 1276] * 40:
+        decoded = decoder.decode(rng.bytes(size))
+        assert decoded.shape == (2, BLOCK)
+        assert np.isfinite(decoded).all()
+        assert np.abs(decoded).max() <= 1
