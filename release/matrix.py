@@ -30,7 +30,7 @@ def oldest() -> str:
     lines = [*project["dependencies"], *project["optional-dependencies"]["all"]]
     found = [Requirement(line) for line in lines]
     return "".join(
-        f"{each.name}=={specifier.version}\n"
+        f"{each.name}=={specifier.version}.*\n"
         for each in found
         for specifier in each.specifier
         if specifier.operator == ">="
@@ -53,7 +53,9 @@ def outcome(python: str, wheel: Path, folder: Path, constraints: str | None) -> 
         installing += ["-c", str(folder / "oldest.txt")]
     installed, said = _said([*installing, f"{wheel}[all]", "pytest", "hypothesis", "packaging"])
     if not installed:
-        return f"not installed: {_last(r'ERROR: .*', said)}"
+        return (
+            f"not installed: {'; '.join(line for line in said.splitlines() if 'ERROR' in line or 'constraint' in line)}"
+        )
     # By its script: with -m, the checkout's own decogs would come before what is installed.
     passed, said = _said([str(folder / "bin" / "pytest"), "-q", "-p", "no:cacheprovider", "-W", "default", *TESTS])
     versions = ", ".join(_versions(within))
