@@ -211,6 +211,8 @@ test("sound with a place is heard from there, where the transform has it, by who
     await new Promise((done) => player.addEventListener("timeupdate", done, { once: true }));
     const [panner] = globalThis.panners;
     const { listener } = panner.context;
+    // Set with a picture, and read as the sound's own thread has it.
+    for (let pictures = 0; pictures < 300 && listener.positionX.value === 0; pictures++) await new Promise(requestAnimationFrame);
     const three = (of, name) => ["X", "Y", "Z"].map((axis) => of[`${name}${axis}`].value);
     const { centre, axes } = player.view.pose;
     return { panner: three(panner, "position"), reference: panner.refDistance, position: three(listener, "position"), forward: three(listener, "forward"), centre, looks: axes[2], first: player.header.cameras[0].worldToCamera };
