@@ -27,7 +27,7 @@ else:
 ROOT = Path(__file__).resolve().parents[2]
 STREAM = ROOT / "tests" / "canary" / "emergence.dgs"
 
-# What Blender has not, on any system; `resource` and `fcntl` are missing on Windows.
+# What Blender has not, on any system; `resource` and `fcntl` are missing on Windows, which the reader is told it is on.
 READING = """
 import sys
 import types
@@ -39,6 +39,10 @@ sys.path[:0] = [wheel, *installed]
 package = types.ModuleType("addon")
 package.__path__ = [folder]
 sys.modules["addon"] = package
+system, sys.platform, sys.modules["msvcrt"] = sys.platform, "win32", types.ModuleType("msvcrt")
+import decogs.formats.operating_systems
+sys.platform = system
+decogs.formats.operating_systems.sys = types.SimpleNamespace(platform="win32")
 import decogs.decoder.stream
 assert decogs.decoder.stream.__file__.startswith(wheel), decogs.decoder.stream.__file__
 import addon.playback
