@@ -5,26 +5,19 @@
  * the page as it is.
  */
 
+import type { Lens } from "./geometry/camera";
 import type { Similarity } from "./geometry/similarity";
 
 /** Kinds of frames, as packets name them (SPEC section 3). */
 export type FrameKind = "key" | "delta" | "skip";
 
 /** A camera of the rig (SPEC section 4). Lengths in pixels; the picture's top left corner is (0, 0). */
-export interface RigCamera {
+export interface RigCamera extends Lens {
   readonly name: string;
-  readonly width: number;
-  readonly height: number;
-  readonly fx: number;
-  readonly fy: number;
-  readonly cx: number;
-  readonly cy: number;
   readonly distortionModel: "none" | "opencv" | "fisheye";
   readonly distortion: readonly number[];
   /** Three rows of four: a rotation and a translation; camera axes x right, y down, z forward. */
   readonly worldToCamera: readonly (readonly number[])[];
-  /** Nothing nearer than this depth is drawn in this view. */
-  readonly near: number;
   /** What this camera's colours differ by in every frame; null where the stream does not say. */
   readonly colours: CameraColours | null;
 }

@@ -11,7 +11,6 @@ const COMFORTABLE = 0.8;
 
 export class Playback {
   playing = false;
-  rate = 1;
   loop = false;
   /** Frames that are played again and again, from one up to, not including, another; null: all are played. */
   range: Span | null = null;
@@ -23,6 +22,15 @@ export class Playback {
   /** Whether no more frames will come. */
   complete = false;
   private costMs = 0;
+  private speed = 1;
+
+  get rate(): number {
+    return this.speed;
+  }
+  set rate(value: number) {
+    if (!(value > 0 && value <= 16)) throw new RangeError("playbackRate must be above 0 and at most 16");
+    this.speed = value;
+  }
 
   get due(): number {
     return Math.max(0, Math.min(Math.floor(this.position + 1e-6), this.frameCount - 1));

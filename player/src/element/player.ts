@@ -206,7 +206,6 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return this.#session.sound.volume;
   }
   set volume(value: number) {
-    if (!(value >= 0 && value <= 1)) throw new RangeError("volume must be from 0 to 1");
     this.#session.sound.volume = value;
     this.#tell("volumechange");
   }
@@ -291,7 +290,6 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return this.#session.playback.rate;
   }
   set playbackRate(rate: number) {
-    if (!(rate > 0 && rate <= 16)) throw new RangeError("playbackRate must be above 0 and at most 16");
     this.#session.playback.rate = rate;
     this.#tell("ratechange");
   }

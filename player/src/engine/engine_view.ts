@@ -1,5 +1,5 @@
 /** A camera of an engine, in OpenGL's conventions, as what draws takes it. */
-import type { PinholeCamera } from "../geometry/camera";
+import { lensOf, type PinholeCamera } from "../geometry/camera";
 import { poseOf, type Pose } from "../geometry/poses";
 import { intoScene, type Similarity } from "../geometry/similarity";
 import { cross, dot, type Matrix, type Vector } from "../geometry/vectors";
@@ -30,15 +30,7 @@ export function engineCamera({ modelView: m, projection: p }: EngineView, width:
   const scale = Math.cbrt(dot(rows[0], cross(rows[1], rows[2])));
   if (!(scale > 0)) return null;
   const worldToCamera = rows.map((row: Vector, i) => [...row, m[12 + i]].map((value) => ((i === 0 ? 1 : -1) * value) / scale));
-  const camera: PinholeCamera = {
-    width,
-    height,
-    fx: (p[0] * width) / 2,
-    fy: (p[5] * height) / 2,
-    cx: ((1 - p[8]) * width) / 2,
-    cy: ((1 + p[9]) * height) / 2,
-    near: 0, // the engine's own near plane cuts
-    worldToCamera,
-  };
+  // The engine's own near plane cuts.
+  const camera: PinholeCamera = { ...lensOf(p, width, height, 0), worldToCamera };
   return { camera: intoScene(camera, transform), pose: poseOf(camera), depth: [-p[10], p[14] / (scale * (transform?.scale ?? 1))] };
 }

@@ -12,6 +12,19 @@ export interface Lens {
   readonly near: number;
 }
 
+/** The lens of OpenGL's projection `p`, by columns, in a picture of this size. */
+export function lensOf(p: ArrayLike<number>, width: number, height: number, near: number): Lens {
+  return {
+    width,
+    height,
+    fx: (p[0] * width) / 2,
+    fy: (p[5] * height) / 2,
+    cx: ((1 - p[8]) * width) / 2,
+    cy: ((1 + p[9]) * height) / 2,
+    near,
+  };
+}
+
 /** A camera without a lens' distortion: pixels from the picture's top left corner, axes x right, y down, z forward. */
 export interface PinholeCamera extends Lens {
   /** Three rows of four. */

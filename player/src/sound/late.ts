@@ -28,6 +28,7 @@ export class LateSound {
     return this.level;
   }
   set volume(value: number) {
+    if (!(value >= 0 && value <= 1)) throw new RangeError("volume must be from 0 to 1");
     this.level = value;
     this.adjust();
   }

@@ -1,5 +1,5 @@
 /** What an eye of a headset sees: a pinhole whose principal point may lie anywhere. */
-import type { PinholeCamera } from "../geometry/camera";
+import { lensOf, type PinholeCamera } from "../geometry/camera";
 import { dot, times, type Matrix, type Vector } from "../geometry/vectors";
 import type { Placement } from "./placement";
 
@@ -33,15 +33,6 @@ export function standing(matrix: ArrayLike<number>, placement: Placement): reado
 }
 
 export function cameraOf({ matrix, projection: p, width, height }: Eye, placement: Placement): PinholeCamera {
-  return {
-    width,
-    height,
-    fx: (p[0] * width) / 2,
-    fy: (p[5] * height) / 2,
-    cx: ((1 - p[8]) * width) / 2,
-    cy: ((1 + p[9]) * height) / 2,
-    // Nothing nearer than half a hand before the eyes, in units of the scene.
-    near: 0.05 * placement.scale,
-    worldToCamera: standing(matrix, placement),
-  };
+  // Nothing nearer than half a hand before the eyes, in units of the scene.
+  return { ...lensOf(p, width, height, 0.05 * placement.scale), worldToCamera: standing(matrix, placement) };
 }
