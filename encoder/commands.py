@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 def encode_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-encode``: a rig folder to a .dgs stream."""
     parser = encode_parser()
-    return run(parser, lambda: _encode_or_part(parser, parser.parse_args(arguments)))
+    return run(parser, lambda: _encode_or_part(parser, parser.parse_args(arguments)), encodes=True)
 
 
 def encode_parser() -> Parser:

@@ -135,6 +135,13 @@ def test_without_an_extra_a_command_says_which_one(
     assert not (tmp_path / output).exists()
 
 
+def test_what_encodes_names_the_extra_that_has_all_of_it(tmp_path: Path) -> None:
+    program = "from decogs.encoder.commands import encode_main; sys.exit(encode_main())"
+    result = run(BLOCKED + program, OF_EXTRAS, str(tmp_path), "-o", str(tmp_path / "o.dgs"), "--quiet")
+    said = "decogs-encode: error: this needs PyAV, which is not installed: pip install 'decogs[encode]'"
+    assert (result.returncode, result.stderr.splitlines()) == (2, [said])
+
+
 def test_start_up_loads_nothing_heavy(small_stream) -> None:
     """What makes the decoder start in a fraction of a second: these are loaded when they are used, and not before."""
     result = run(START_UP, str(small_stream.path))
