@@ -11,6 +11,7 @@ const PIECE = 4096;
 /** A link of so many bytes a second, which all answers share: a token bucket of one piece. */
 class Link {
   free = 0;
+  sent = 0;
 
   async send(response, path, from, to, options) {
     const file = openSync(path, "r");
@@ -22,6 +23,7 @@ class Link {
         const wait = this.free - performance.now();
         if (wait > 1) await new Promise((done) => setTimeout(done, wait));
         response.write(piece);
+        this.sent += piece.length;
       }
     } finally {
       closeSync(file);
@@ -32,7 +34,7 @@ class Link {
 
 /**
  * Serves folders, by the first part of the path: { "page": "/a", "data": "/b" }. Options may change any time: `ranges`;
- * of `data`: `rate`, bytes a second; `down`, no answer at all; `gzip`, stored compressed, as buckets do.
+ * of `data`: `rate`, bytes a second; `latency`, milliseconds before an answer; `down`, no answer at all; `gzip`, stored compressed, as buckets do.
  */
 export async function served(folders, options = { ranges: true }) {
   const requests = [];
@@ -55,7 +57,8 @@ export async function served(folders, options = { ranges: true }) {
       request.socket.destroy();
       return;
     }
-    const send = (from, to) => {
+    const send = async (from, to) => {
+      if (name === "data" && options.latency > 0) await new Promise((done) => setTimeout(done, options.latency));
       if (slow) void link.send(response, path, from, to, options);
       else createReadStream(path, { start: from, end: to }).pipe(response);
     };
@@ -75,7 +78,7 @@ export async function served(folders, options = { ranges: true }) {
     if (!range) {
       response.writeHead(200, { ...headers, "content-length": size });
       if (request.method === "HEAD") response.end();
-      else send(0, size - 1);
+      else void send(0, size - 1);
       return;
     }
     const from = Number(range[1]);
@@ -85,7 +88,7 @@ export async function served(folders, options = { ranges: true }) {
       return;
     }
     response.writeHead(206, { ...headers, "content-length": to - from + 1, "content-range": `bytes ${from}-${to}/${size}` });
-    send(from, to);
+    void send(from, to);
   });
   await new Promise((listening) => server.listen(0, "127.0.0.1", listening));
   return {
@@ -94,6 +97,8 @@ export async function served(folders, options = { ranges: true }) {
     address: `http://127.0.0.1:${server.address().port}`,
     requests,
     options,
+    /** Bytes of `data` that have gone over a slow link so far. */
+    sent: () => link.sent,
     close: () => new Promise((closed) => {
       server.close(closed);
       server.closeAllConnections();
