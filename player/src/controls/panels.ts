@@ -427,6 +427,7 @@ export class Panels {
     if (!hide) this.opener = activeElement instanceof HTMLElement ? activeElement : this.player;
     this.closeAll();
     panel.hidden = hide;
+    if (!hide) this.hint(""); // it would shine through
     if (!hide) panel.querySelector<HTMLElement>("button, select")?.focus();
     this.refresh();
   }

@@ -51,6 +51,8 @@ declare global {
 
 /** A worker takes longer to start than a header to come: one waits for the first stream from the time the script runs. */
 let spare: Worker | null = globalThis.decogsEarly === undefined ? startedWorker() : null;
+// Nobody hears why yet: whoever opens the stream tries again, and does.
+if (spare !== null) spare.onerror = () => (spare = null);
 
 export class Connection {
   private readonly worker: Worker;

@@ -212,6 +212,20 @@ test("people are told that they may turn the picture, which turns by itself unti
   await page.context().close();
 });
 
+test("an invitation gives way to the menu, which fades where it goes on", async () => {
+  const page = await browser.opened("long", { width: 320, height: 400 });
+  await ready(page);
+  await until(page, "!player.shadowRoot.querySelector('.notice')?.hidden");
+  await page.locator("[name=menu]").click();
+  assert.equal(await page.locator(".notice").isVisible(), false);
+  const mask = () => page.evaluate(() => getComputedStyle(document.querySelector("decogs-player").shadowRoot.querySelector(".menu")).maskImage);
+  assert.match(await mask(), /gradient/);
+  await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector(".menu").scrollTo(0, 10_000));
+  await page.waitForFunction(() => getComputedStyle(document.querySelector("decogs-player").shadowRoot.querySelector(".menu")).maskImage === "none");
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
 test("the menu copies code that shows the page at this view in another one", async () => {
   const page = await browser.opened("long", { width: 640, height: 480 });
   await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);

@@ -125,6 +125,22 @@ test("opened from the disk, or without its script, the page says what to do", as
   await context.close();
 });
 
+test("a worker that does not come is told, long after its script was asked for as well", async () => {
+  const page = await own(`<!doctype html>${PLAYER}<decogs-player controls></decogs-player>`);
+  await page.route("**/decogs-worker.js", (route) => route.fulfill({ status: 404 }));
+  const asked = page.waitForResponse("**/decogs-worker.js");
+  await page.reload();
+  await asked;
+  await page.waitForTimeout(300);
+  const told = await page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    player.src = "/data/long.dgs";
+    return Promise.race([new Promise((done) => player.addEventListener("error", () => done(player.error), { once: true })), new Promise((done) => setTimeout(done, 20_000))]);
+  });
+  assert.match(String(told), /decogs-worker\.js/);
+  await page.context().close();
+});
+
 test("a graphics card that is lost for good gives way to the exact picture", async () => {
   const page = await browser.opened("long");
   await ready(page);
