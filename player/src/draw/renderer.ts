@@ -31,7 +31,8 @@ export interface Renderer {
   begin(layout: TextureLayout, header: StreamHeader): void;
   load(update: SceneUpdate): void;
   order(draw: DrawOrder): void;
-  draw(camera: PinholeCamera, overlay: Overlay): void;
+  /** `quick`: what many faint Gaussians add may be rounded away. */
+  draw(camera: PinholeCamera, overlay: Overlay, quick: boolean): void;
   /** Resolves when the picture asked for last is in the canvas, where that takes longer than `draw`. */
   settled?(): Promise<void>;
   dispose(): void;

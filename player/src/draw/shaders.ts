@@ -27,21 +27,19 @@ vec3 harmonics(vec3 d, float sh[8 * REST_TEXELS]) {
 /** Gaussians that one instance draws: one each would cost more than their pixels, in software above all. */
 export const BATCH = 128;
 
-/** In a scene of somebody else's: farthest first, at the depth that its camera's projection gives, for light or for the screen. */
+/** In a scene of somebody else's: at the depth that its camera's projection gives, for light or for the screen. */
 const IN_SCENE = /* glsl */ `
 uniform vec2 depth;
 uniform float upwards;
 uniform bool linear;
-int inOrder(int place) { return count - 1 - place; }
 vec4 onScreen(vec2 at, float inverse) { return vec4(at.x, upwards * at.y, depth.x + depth.y * inverse, 1.0); }
 vec3 shown(vec3 rgb) {
   return linear ? mix(rgb / 12.92, pow((rgb + 0.055) / 1.055, vec3(2.4)), greaterThan(rgb, vec3(0.04045))) : rgb;
 }
 `;
 
-/** On a canvas of its own: nearest first. */
+/** On a canvas of its own. */
 const ALONE = /* glsl */ `
-int inOrder(int place) { return place; }
 vec4 onScreen(vec2 at, float inverse) { return vec4(at, 0.0, 1.0); }
 vec3 shown(vec3 rgb) { return rgb; }
 `;
@@ -58,6 +56,7 @@ const float BLUR = 0.3, CLOSEST = 0.5, HALF_LOG2E = 0.72134752044448170;
 const float LOG_SCALE_STEP = 80.0 / 65535.0;
 uniform usampler2D base, rest, heat, order;
 uniform int count;
+uniform bool farthestFirst;
 uniform mat3 rotation;
 uniform vec3 centre;
 uniform vec2 focal, principal, size;
@@ -100,7 +99,8 @@ void main() {
   cut = 0.0;
   int place = gl_InstanceID * ${BATCH} + (gl_VertexID >> 2);
   if (place >= count) return;
-  int index = int(texelFetch(order, ivec2(inOrder(place) & 2047, inOrder(place) >> 11), 0).r);
+  if (farthestFirst) place = count - 1 - place;
+  int index = int(texelFetch(order, ivec2(place & 2047, place >> 11), 0).r);
   ivec2 texel = ivec2((index & 1023) << 1, index >> 10);
   uvec4 low = texelFetch(base, texel, 0), high = texelFetch(base, texel + ivec2(1, 0), 0);
   vec3 offset = uintBitsToFloat(low.xyz) - centre;

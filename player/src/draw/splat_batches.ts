@@ -46,11 +46,12 @@ export class SplatBatches {
   }
 
   /** After `use`. */
-  draw(camera: PinholeCamera, overlay: number): void {
+  draw(camera: PinholeCamera, overlay: number, farthestFirst: boolean): void {
     const { gl, program } = this;
     setCamera(gl, program, camera);
     gl.uniform1i(program.uniform("overlay"), overlay);
     gl.uniform1i(program.uniform("count"), this.count);
+    gl.uniform1i(program.uniform("farthestFirst"), Number(farthestFirst));
     this.textures.bind();
     gl.bindVertexArray(this.attributes);
     gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0, Math.ceil(this.count / BATCH));

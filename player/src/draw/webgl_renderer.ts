@@ -1,4 +1,4 @@
-/** Draws with WebGL2: quads, nearest first, in batches that are an instance each, into half floats, and the background, if any, behind them. */
+/** Draws with WebGL2: quads, in batches that are an instance each, and the background, if any, behind them. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
 import { OVERLAYS, type Overlay } from "../player_api";
@@ -77,7 +77,7 @@ export class WebGlRenderer implements Renderer {
     this.resources?.splats.order(draw);
   }
 
-  draw(camera: PinholeCamera, overlay: Overlay): void {
+  draw(camera: PinholeCamera, overlay: Overlay, quick: boolean): void {
     const { gl, canvas, resources } = this;
     if (resources === null || gl.isContextLost()) return;
     const { width, height } = camera;
@@ -86,7 +86,9 @@ export class WebGlRenderer implements Renderer {
     const recording = recordedPass() === null ? null : camera.recording;
     if (recording) resources.recorded ??= new (recordedPass()!)(gl, (fragment) => linked(gl, SCREEN_VERTEX_SHADER, fragment));
     const drawn = recording ? resources.recorded!.seenBy(camera, recording) : camera;
-    this.accumulate(resources, drawn, overlay);
+    // A subject's alpha, and colours that a camera's exposure makes darker again, need all bits.
+    const behind = quick && !recording && this.background[3] === 1 ? this.background : null;
+    this.accumulate(resources, drawn, overlay, behind);
     gl.viewport(0, 0, width, height);
     if (recording) resources.recorded!.use(camera, recording, this.background);
     else this.useFinish(resources, this.background, 0, 0);
@@ -102,17 +104,17 @@ export class WebGlRenderer implements Renderer {
   drawInto(camera: PinholeCamera, overlay: Overlay, { framebuffer, x, y, clear }: Target): void {
     const { gl, resources } = this;
     if (resources === null || gl.isContextLost()) return;
-    this.accumulate(resources, camera, overlay);
+    this.accumulate(resources, camera, overlay, null);
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, camera.width, camera.height);
     this.useFinish(resources, clear ? NOTHING : this.background, x, y);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  private accumulate({ accumulation, splats }: Resources, camera: PinholeCamera, overlay: Overlay): void {
-    accumulation.begin(camera.width, camera.height);
+  private accumulate({ accumulation, splats }: Resources, camera: PinholeCamera, overlay: Overlay, behind: readonly number[] | null): void {
+    accumulation.begin(camera.width, camera.height, behind);
     splats.use();
-    splats.draw(camera, OVERLAYS.indexOf(overlay));
+    splats.draw(camera, OVERLAYS.indexOf(overlay), behind !== null);
     accumulation.end();
   }
 

@@ -1,6 +1,6 @@
 /**
  * What is in the picture: the renderer, the camera that a person moves, and when to draw. Nothing is drawn while nothing
- * changes. On a slow GPU, pictures are smaller while they change, and whole as soon as they rest.
+ * changes. On a slow GPU, pictures are drawn quickly and smaller while they change, and whole as soon as they rest.
  */
 import { Navigation } from "../camera/navigation";
 import type { Renderer } from "../draw/renderer";
@@ -39,6 +39,8 @@ export class Stage {
   /** Of the picture that was timed last; and the one before that was shrunk, with what it took. */
   private drawnScale = 1;
   private larger: { readonly scale: number; readonly ms: number } | null = null;
+  /** Whether a picture was slow since the stream began. */
+  private slow = false;
   /** Whether shrinking has not helped. */
   private futile = false;
   private dirty = false;
@@ -71,7 +73,7 @@ export class Stage {
     this.drawing = renderer;
     this.ordered = false;
     this.scale = 1;
-    this.futile = false;
+    this.slow = this.futile = false;
     this.larger = null;
     this.touch();
   }
@@ -90,7 +92,7 @@ export class Stage {
     this.asked = null;
     this.answered = this.outdated = this.serial;
     this.ordered = false;
-    this.futile = false;
+    this.slow = this.futile = false;
     this.larger = null;
     this.count = 0;
     this.look();
@@ -137,10 +139,11 @@ export class Stage {
     if (this.renderer.busy || (!this.dirty && !(resting && !this.wholeDrawn))) return false;
     this.adapt();
     const scale = resting ? 1 : this.scale;
-    this.drawNow(scale);
+    const quick = this.slow && !resting;
+    this.drawNow(scale, quick);
     this.drawnScale = scale;
     this.dirty = false;
-    this.wholeDrawn = scale === 1;
+    this.wholeDrawn = scale === 1 && !quick;
     this.drawnAt.push(now);
     while (this.drawnAt[0] < now - 1000) this.drawnAt.shift();
     return true;
@@ -159,7 +162,7 @@ export class Stage {
       await new Promise((done) => setTimeout(done, 5));
     }
     const { renderer } = this;
-    this.drawSized(width, height);
+    this.drawSized(width, height, false);
     await renderer.settled?.();
     const blob = new Promise<Blob | null>((done) => {
       renderer.canvas.toBlob(done, "image/png");
@@ -188,22 +191,23 @@ export class Stage {
     this.askOrder(row, ++this.serial);
   }
 
-  private drawNow(scale: number): void {
+  private drawNow(scale: number, quick: boolean): void {
     const { width, height } = this.sizeOf();
     const shrunk = scale * Math.sqrt(this.quality);
     const side = (length: number): number => Math.max(1, Math.min(LARGEST_SIDE, Math.round(length * shrunk)));
-    this.drawSized(side(width), side(height));
+    this.drawSized(side(width), side(height), quick);
   }
 
-  private drawSized(width: number, height: number): void {
-    this.renderer.draw(intoScene(this.camera(width, height), this.transform), this.overlay);
+  private drawSized(width: number, height: number, quick: boolean): void {
+    this.renderer.draw(intoScene(this.camera(width, height), this.transform), this.overlay, quick || this.quality < 1);
   }
 
   /** Smaller pictures while that helps: where Gaussians, not pixels, take the time, it would only blur. */
   private adapt(): void {
     const { drawMs } = this.renderer.times;
     const { larger, drawnScale } = this;
-    if (drawMs > SLOW_MS && !this.futile) {
+    if (drawMs > SLOW_MS && !this.slow) this.slow = true;
+    else if (drawMs > SLOW_MS && !this.futile) {
       if (larger !== null && drawnScale < larger.scale && drawMs > HELPS * larger.ms) {
         this.futile = true;
         this.scale = 1;

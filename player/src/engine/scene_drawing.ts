@@ -93,7 +93,7 @@ export class SceneDrawing implements Drawing {
       gl.uniform2f(program.uniform("depth"), ...depth);
       gl.uniform1f(program.uniform("upwards"), view.flipped === true ? -1 : 1);
       gl.uniform1i(program.uniform("linear"), Number(view.linear === true));
-      batches.draw(camera, 0);
+      batches.draw(camera, 0, true);
     });
     return true;
   }

@@ -79,7 +79,7 @@ async function drawn([stream, sizes]) {
   const told = [];
   for (const [width, height] of sizes) {
     const begun = performance.now();
-    renderer.draw(stage.camera(width, height), "none");
+    renderer.draw(stage.camera(width, height), "none", false);
     finish();
     told.push(performance.now() - begun);
   }

@@ -44,10 +44,11 @@ async function ours(player, automatic, width, height) {
   const { stage } = player[Symbol.for("decogs.inside")];
   await player.capture(width, height);
   return {
-    draw: async (camera) => {
+    /** While the camera moves, as slow pictures are drawn then; or as it stands. */
+    draw: async (camera, still = false) => {
       const { renderer } = stage;
       stage.sortFor(camera.worldToCamera[2]);
-      renderer.draw(camera, "none");
+      renderer.draw(camera, "none", !still);
       await renderer.settled?.();
       const gl = renderer.canvas.getContext("webgl2");
       gl?.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
@@ -151,7 +152,7 @@ globalThis.measured = async (who, width, height) => {
     await drawer.draw(camera);
     await pause(200);
   }
-  await drawer.draw(camera);
+  await drawer.draw(camera, true);
   const found = pixels(drawer.canvas(), width, height);
   let sum = 0;
   for (let at = 0; at < found.length; at++) if (at % 4 !== 3) sum += (found[at] - expected[at]) ** 2;

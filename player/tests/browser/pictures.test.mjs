@@ -1,7 +1,7 @@
 // What is drawn is what decogs-decode draws: trained scenes, every degree of harmonics, cameras of the rig and a free one.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { filed, listed, picture, psnr, ready, show, started, until } from "./harness.mjs";
+import { filed, listed, picture, pixelsOf, psnr, ready, show, started, until } from "./harness.mjs";
 
 const LEAST_DB = 40;
 let browser;
@@ -124,4 +124,26 @@ test("a picture that is saved right after another renderer was chosen is whole",
     assert.ok(decibels >= LEAST_DB, `${decibels.toFixed(2)} dB, exact ${exact}`);
   }
   await page.context().close();
+});
+
+/** What a slow graphics card draws while the camera moves. */
+const quickly = (page, quick, width, height) =>
+  page.evaluate(([quick, width, height]) => {
+    const { stage } = document.querySelector("decogs-player")[Symbol.for("decogs.inside")];
+    stage.renderer.draw(stage.camera(width, height), "none", quick);
+    return stage.renderer.canvas.toDataURL();
+  }, [quick, width, height]).then((address) => pixelsOf(page, address));
+
+test("what is drawn quickly is almost the same; that of a subject, and of what was recorded, is", async (context) => {
+  for (const [stream, query] of [["degree1", ""], ["wide", ""], ["subject", ""], ["recorded", "&recorded"]]) {
+    const page = await browser.opened(stream, { query });
+    await ready(page);
+    await until(page, "!inside.stage.pending && !inside.stage.renderer.busy");
+    const [quick, whole] = [await quickly(page, true, 200, 150), await quickly(page, false, 200, 150)];
+    const decibels = psnr(quick, whole);
+    context.diagnostic(`${stream}: ${decibels.toFixed(1)} dB`);
+    if (query !== "" || stream === "subject") assert.deepEqual(quick.data, whole.data);
+    else assert.ok(decibels >= LEAST_DB && decibels < 80, `${stream}: ${decibels.toFixed(1)} dB`);
+    await page.context().close();
+  }
 });

@@ -6,7 +6,7 @@ import type { Renderer } from "../../src/draw/renderer";
 import type { DrawOrder } from "../../src/messages";
 
 /** `cost`: milliseconds of a picture of so many pixels across. */
-function stageOf(asked: number[], drawn: number[], cost: (width: number) => number = () => 1, widths: number[] = []): Stage {
+function stageOf(asked: number[], drawn: number[], cost: (width: number) => number = () => 1, widths: number[] = [], quickly: boolean[] = []): Stage {
   let ordered = 0;
   const times = { uploadMs: 0, drawMs: 0 };
   const renderer = {
@@ -17,8 +17,9 @@ function stageOf(asked: number[], drawn: number[], cost: (width: number) => numb
     order: ({ serial }: DrawOrder) => {
       ordered = serial;
     },
-    draw: ({ width }: { readonly width: number }) => {
+    draw: ({ width }: { readonly width: number }, _: string, quick: boolean) => {
       drawn.push(ordered);
+      quickly.push(quick);
       widths.push(width);
       times.drawMs = cost(width);
     },
@@ -70,4 +71,32 @@ test("pictures stay whole where Gaussians take the time, since smaller ones woul
   const widths = moving(() => 200);
   assert.equal(widths.at(-1), 64);
   assert.ok(widths.filter((width) => width < 64).length <= 2);
+});
+
+test("where pictures are slow, they are drawn quickly while they move, and once more as they are to be when they rest", () => {
+  const quickly: boolean[] = [];
+  const stage = stageOf([], [], () => 200, [], quickly);
+  stage.begin();
+  stage.load(null, order(1));
+  for (let picture = 0; picture < 4; picture++) {
+    stage.touch();
+    stage.step(20 * picture, 0.02, true);
+  }
+  assert.deepEqual(quickly, [false, true, true, true]);
+  assert.ok(stage.pending);
+  stage.step(1000, 0.02, false);
+  assert.deepEqual(quickly.slice(4), [false]);
+  assert.ok(!stage.pending);
+});
+
+test("where they are fast, none is drawn quickly; at a lower quality all are", () => {
+  const quickly: boolean[] = [];
+  const stage = stageOf([], [], () => 20, [], quickly);
+  stage.begin();
+  stage.load(null, order(1));
+  stage.step(0, 0.02, true);
+  stage.quality = 0.5;
+  stage.touch();
+  stage.step(1000, 0.02, false);
+  assert.deepEqual(quickly, [false, true]);
 });
