@@ -2,7 +2,7 @@
 import { lensOf, type PinholeCamera } from "../geometry/camera";
 import { poseOf, type Pose } from "../geometry/poses";
 import { intoScene, type Similarity } from "../geometry/similarity";
-import { cross, dot, type Matrix, type Vector } from "../geometry/vectors";
+import { cross, dot, length, type Matrix, type Vector } from "../geometry/vectors";
 
 /** What an engine draws at the moment; matrices by columns, y up and z back. */
 export interface EngineView {
@@ -23,12 +23,19 @@ export interface EngineCamera {
   readonly depth: readonly [number, number];
 }
 
-/** null for a projection without perspective. `transform`: the stream's, from the scene as it is stored. */
+/** How far scales may differ: engines multiply matrices of float32. */
+const ALIKE = 1e-3;
+
+/**
+ * null for what has no size. Throws an Error that says so for cameras and objects that cannot be drawn. `transform`: the stream's, from the
+ * scene as it is stored.
+ */
 export function engineCamera({ modelView: m, projection: p }: EngineView, width: number, height: number, transform: Similarity | null): EngineCamera | null {
-  if (p[15] !== 0) return null;
+  if (p[15] !== 0) throw new Error("an orthographic camera draws no .dgs stream: use one with perspective");
   const rows = [0, 1, 2].map((row) => [m[row], m[4 + row], m[8 + row]] as const) as unknown as Matrix;
   const scale = Math.cbrt(dot(rows[0], cross(rows[1], rows[2])));
-  if (!(scale > 0)) return null;
+  if (scale === 0) return null;
+  if (!rows.every((row) => Math.abs(length(row) / scale - 1) < ALIKE)) throw new Error("a .dgs stream is scaled alike in all directions, and not mirrored");
   const worldToCamera = rows.map((row: Vector, i) => [...row, m[12 + i]].map((value) => ((i === 0 ? 1 : -1) * value) / scale));
   // The engine's own near plane cuts.
   const camera: PinholeCamera = { ...lensOf(p, width, height, 0), worldToCamera };

@@ -12,7 +12,8 @@ export interface EntityOptions extends SceneOptions {
 /**
  * Draws a stream where an entity stands, which may be turned, shifted and scaled (alike in all directions). `player` plays it.
  *
- * It has no light and no shadows, and is not drawn by orthographic cameras and WebGPU.
+ * It has no light and no shadows. Orthographic cameras draw nothing of it, which `player.error` says. Throws an Error where the device is not
+ * WebGL2.
  */
 export class DecogsEntity {
   readonly player: ScenePlayer;
@@ -20,11 +21,13 @@ export class DecogsEntity {
   readonly #modelView = new Mat4();
 
   constructor(app: AppBase, entity: Entity, source: string, { layer = LAYERID_WORLD, ...options }: EntityOptions = {}) {
+    const device = app.graphicsDevice as unknown as { readonly isWebGL2?: boolean; readonly gl: WebGL2RenderingContext };
+    if (device.isWebGL2 !== true) throw new Error("a .dgs stream needs a WebGL2 device: create the application with DEVICETYPE_WEBGL2");
     this.player = new ScenePlayer(source, options);
     this.#hook = app.scene.on("postrender:layer", (camera: CameraComponent, drawn: Layer, transparent: boolean) => {
       if (!transparent || drawn.id !== layer || !entity.enabled) return;
       this.#modelView.mul2(camera.viewMatrix, entity.getWorldTransform());
-      this.player.draw((app.graphicsDevice as unknown as { readonly gl: WebGL2RenderingContext }).gl, {
+      this.player.draw(device.gl, {
         modelView: this.#modelView.data,
         projection: camera.projectionMatrix.data,
         flipped: (camera.renderTarget as { readonly flipY: boolean } | null)?.flipY === true,

@@ -69,7 +69,10 @@ export class SceneDrawing implements Drawing {
     // The kernel is never asked.
   }
 
-  /** Draws what there is into the target that is bound; asks for the order that the view needs. Whether anything was drawn. */
+  /**
+   * Draws what there is into the target that is bound; asks for the order that the view needs. Whether anything was drawn. Throws an
+   * Error for views that cannot be.
+   */
   draw(gl: WebGL2RenderingContext, view: EngineView): boolean {
     if (this.#layout === null || gl.isContextLost()) return false;
     this.#startIn(gl, this.#layout);

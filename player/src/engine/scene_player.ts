@@ -22,6 +22,9 @@ export class ScenePlayer extends EventTarget {
   readonly #drawing: SceneDrawing;
   readonly #session: Session;
   #waking = false;
+  /** Why a view was not drawn; null once one is. */
+  #refused: string | null = null;
+  readonly #told = new Set<string>();
   #lastTime = 0;
 
   constructor(source: string, { autoplay = false, loop = false, follow = false }: SceneOptions = {}) {
@@ -68,7 +71,7 @@ export class ScenePlayer extends EventTarget {
   }
   /** What went wrong, a sentence; null when nothing. */
   get error(): string | null {
-    return this.#session.error;
+    return this.#session.error ?? this.#refused;
   }
   /** Which way is up in the stream's world, as its cameras tell it; null before `loadedmetadata`. */
   get up(): Vector | null {
@@ -145,7 +148,23 @@ export class ScenePlayer extends EventTarget {
   /** Draws the frame that is due into the target that the engine has bound, which holds its opaque objects. Whether it did. */
   draw(gl: WebGL2RenderingContext, view: EngineView): boolean {
     this.#advance();
-    return this.#drawing.draw(gl, view);
+    try {
+      if (!this.#drawing.draw(gl, view)) return false;
+    } catch (error) {
+      this.refuse(error instanceof Error ? error.message : String(error));
+      return false;
+    }
+    this.#refused = null;
+    return true;
+  }
+
+  /** Says why nothing is drawn: as `error`, and once as an event and in the console. */
+  refuse(why: string): void {
+    this.#refused = why;
+    if (this.#told.has(why)) return;
+    this.#told.add(why);
+    console.error(why);
+    this.#tell("error");
   }
 
   /** Gives worker and textures back. */

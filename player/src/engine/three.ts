@@ -7,8 +7,8 @@ export { ScenePlayer, type SceneOptions };
 /**
  * Add it to a scene; place, turn and scale it (alike in all directions) as any object. `player` plays it.
  *
- * It has no light and no shadows, is drawn among transparent objects in the order of `renderOrder` and distance, and is not drawn
- * by orthographic cameras, WebGPU and logarithmic depth buffers.
+ * It has no light and no shadows, and is drawn among transparent objects in the order of `renderOrder` and distance. Orthographic
+ * cameras, WebGPURenderer and logarithmic depth buffers draw nothing of it, which `player.error` says.
  */
 export class DecogsObject extends Mesh {
   readonly player: ScenePlayer;
@@ -23,6 +23,11 @@ export class DecogsObject extends Mesh {
   }
 
   override onAfterRender = (renderer: WebGLRenderer, _scene: Scene, camera: Camera): void => {
+    const refused = refusal(renderer);
+    if (refused !== null) {
+      this.player.refuse(refused);
+      return;
+    }
     const target = renderer.getRenderTarget();
     this.modelViewMatrix.multiplyMatrices(camera.matrixWorldInverse, this.matrixWorld);
     this.player.draw(renderer.getContext() as WebGL2RenderingContext, {
@@ -37,6 +42,13 @@ export class DecogsObject extends Mesh {
     this.geometry.dispose();
     (this.material as MeshBasicMaterial).dispose();
   }
+}
+
+/** Why a renderer draws no stream; null where it does. */
+function refusal(renderer: WebGLRenderer): string | null {
+  if ("isWebGPURenderer" in renderer) return "WebGPURenderer draws no .dgs stream: use WebGLRenderer";
+  if (renderer.capabilities.logarithmicDepthBuffer) return "a logarithmic depth buffer hides no .dgs stream rightly: make the renderer without";
+  return null;
 }
 
 /** A headset's target holds what its screen shows. */

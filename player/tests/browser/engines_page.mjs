@@ -137,3 +137,74 @@ globalThis.drawn = {
     return told;
   },
 };
+
+/** Draws some times, and whether anything was drawn but what lies behind; what the player says of it, and how often. */
+async function toldOf(player, draw, canvas) {
+  let errors = 0;
+  player.addEventListener("error", () => errors++);
+  const blank = canvas.toDataURL();
+  for (let i = 0; i < 5; i++) {
+    draw();
+    await new Promise((done) => setTimeout(done, 20));
+  }
+  draw();
+  return { error: player.error, errors, nothing: canvas.toDataURL() === blank };
+}
+
+/** What is said of a camera, an object or a renderer that no stream can be drawn with. */
+globalThis.refused = {
+  async three(address, how, WebGPURenderer = null) {
+    const stream = new DecogsObject(address);
+    await shown(stream.player, 0);
+    const canvas = Object.assign(document.createElement("canvas"), { width: 64, height: 48 });
+    const options = { canvas, antialias: false, logarithmicDepthBuffer: how === "logarithmic", preserveDrawingBuffer: true };
+    const renderer = how === "webgpu" ? new WebGPURenderer({ ...options, forceWebGL: true }) : new three.WebGLRenderer(options);
+    await renderer.init?.();
+    const camera = how === "orthographic" ? new three.OrthographicCamera(-1, 1, 1, -1, 0, 10) : new three.PerspectiveCamera();
+    camera.rotation.y = Math.PI; // streams look along z
+    if (how === "uneven") stream.scale.set(1, 2, 1);
+    if (how === "mirrored") stream.scale.set(-1, 1, 1);
+    if (how === "nothing") stream.scale.setScalar(0);
+    const scene = new three.Scene();
+    renderer.render(scene, camera);
+    scene.add(stream);
+    const told = await toldOf(stream.player, () => renderer.render(scene, camera), canvas);
+    stream.dispose();
+    renderer.dispose();
+    return told;
+  },
+
+  async playcanvas(address, how) {
+    const canvas = Object.assign(document.createElement("canvas"), { width: 64, height: 48 });
+    document.body.append(canvas);
+    const app = how === "no WebGL2" ? new pc.AppBase(canvas) : new pc.Application(canvas, { graphicsDeviceOptions: { antialias: false, preserveDrawingBuffer: true } });
+    if (how === "no WebGL2") app.init(Object.assign(new pc.AppOptions(), { graphicsDevice: new pc.NullGraphicsDevice(canvas) }));
+    app.autoRender = false;
+    const entity = new pc.Entity();
+    app.root.addChild(entity);
+    let stream;
+    try {
+      stream = new DecogsEntity(app, entity, address);
+    } catch (error) {
+      return { error: error.message, errors: 1, nothing: true };
+    }
+    app.start();
+    await shown(stream.player, 0);
+    app.setCanvasResolution(pc.RESOLUTION_FIXED, 64, 48);
+    const camera = new pc.Entity();
+    camera.addComponent("camera", { projection: how === "orthographic" ? pc.PROJECTION_ORTHOGRAPHIC : pc.PROJECTION_PERSPECTIVE });
+    camera.setEulerAngles(0, 180, 0);
+    app.root.addChild(camera);
+    if (how === "uneven") entity.setLocalScale(1, 2, 1);
+    if (how === "mirrored") entity.setLocalScale(-1, 1, 1);
+    if (how === "nothing") entity.setLocalScale(0, 0, 0);
+    entity.enabled = false;
+    app.render();
+    entity.enabled = true;
+    const told = await toldOf(stream.player, () => app.render(), canvas);
+    stream.destroy();
+    app.destroy();
+    canvas.remove();
+    return told;
+  },
+};
