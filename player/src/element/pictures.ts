@@ -181,6 +181,7 @@ export class Pictures {
 function canvasOf(className: string): HTMLCanvasElement {
   const canvas = document.createElement("canvas");
   canvas.className = className;
+  canvas.ariaHidden = "true"; // the element has a name
   return canvas;
 }
 

@@ -41,8 +41,9 @@ export class Playback {
     if (!this.playing || this.frameCount === 0) return;
     const next = this.position + seconds * this.rate * this.fps;
     const most = shown + this.allowed() + 1 - 1e-3;
-    if (this.range !== null && next >= this.range[1] && this.range[1] <= this.frameCount) {
-      this.position = this.range[0];
+    const [from, to] = this.range ?? [0, Infinity];
+    if (this.range !== null && from < this.frameCount && next >= (this.complete ? Math.min(to, this.frameCount) : to)) {
+      this.position = from;
       return;
     }
     this.position = next < this.frameCount ? Math.min(next, Math.max(most, this.position)) : next;

@@ -17,9 +17,10 @@ import type { FrameInfo } from "../messages";
 import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type PlayerApi, type Span, type View } from "../player_api";
 import type { StreamHeader } from "../scene";
 import type { PlayerEvent } from "./events";
-import { adopt } from "../adopted_style";
+import { adopt, adoptAgain } from "../adopted_style";
 import { Headset } from "./headset";
 import { LateControls } from "./late_controls";
+import { PixelRatio } from "./pixel_ratio";
 import { Pictures, type ExactChoice, type PicturesHost } from "./pictures";
 import { Ranges } from "./ranges";
 import { RigCameras } from "./rig_cameras";
@@ -93,9 +94,13 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   #pausedByHiding = false;
   #ticking = 0;
   #lastTick = 0;
+  /** The document that is heard. */
+  #document = document;
   readonly #resized = new ResizeObserver(() => {
-    this.#pictures?.stage.touch();
-    this.#wake();
+    this.#touch();
+  });
+  readonly #ratio = new PixelRatio(() => {
+    this.#touch();
   });
 
   constructor() {
@@ -120,17 +125,24 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (!this.hasAttribute("role")) this.setAttribute("role", "region");
     if (!this.hasAttribute("aria-label")) this.setAttribute("aria-label", "Free-viewpoint video");
     this.#resized.observe(this);
-    document.addEventListener("visibilitychange", this.#visibilityChanged);
+    this.#document = this.ownerDocument;
+    this.#ratio.begin(this.#window);
+    this.#document.addEventListener("visibilitychange", this.#visibilityChanged);
     if (this.#pictures === null || this.#source !== this.#address) this.#open();
   }
 
   /** An element that is moved in the page is put in again at once: then everything goes on. */
   disconnectedCallback(): void {
     this.#resized.disconnect();
-    document.removeEventListener("visibilitychange", this.#visibilityChanged);
+    this.#ratio.end();
+    this.#document.removeEventListener("visibilitychange", this.#visibilityChanged);
     queueMicrotask(() => {
       if (!this.isConnected) this.#leave();
     });
+  }
+
+  adoptedCallback(): void {
+    adoptAgain(this.#root);
   }
 
   attributeChangedCallback(name: string, before: string | null, value: string | null): void {
@@ -442,9 +454,14 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return { stage: this.#pictures?.stage ?? null, playback, ticking: this.#ticking };
   }
 
+  /** Of the document that shows the element: another one may be hidden. */
+  get #window(): Window {
+    return this.#document.defaultView ?? window;
+  }
+
   /** Something is to be drawn or to be waited for: ticks until it is done. */
   #wake(): void {
-    if (this.#ticking === 0) this.#ticking = requestAnimationFrame(this.#tick);
+    if (this.#ticking === 0) this.#ticking = this.#window.requestAnimationFrame(this.#tick);
   }
 
   readonly #tick = (now: number): void => {
@@ -601,7 +618,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
 
   /** The size of the picture in device pixels. */
   #pixels(): { width: number; height: number } {
-    const ratio = window.devicePixelRatio || 1;
+    const ratio = this.#ratio.value;
     const { clientWidth, clientHeight } = this;
     return { width: Math.max(1, Math.round(clientWidth * ratio)), height: Math.max(1, Math.round(clientHeight * ratio)) };
   }
@@ -612,7 +629,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
 
   readonly #visibilityChanged = (): void => {
-    if (document.hidden) {
+    if (this.#document.hidden) {
       if (this.paused) return;
       this.pause();
       this.#pausedByHiding = true;

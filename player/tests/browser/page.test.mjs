@@ -240,6 +240,80 @@ test("with cooperative gestures the wheel and one finger scroll the page; Ctrl a
   await page.context().close();
 });
 
+test("in another document, which forgets what was adopted, the player has its looks and goes on", async () => {
+  const page = await browser.opened("long", { width: 400, height: 300, query: "&loop" });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null");
+  const told = await page.evaluate(async () => {
+    const player = document.querySelector("decogs-player");
+    const place = document.body.appendChild(document.createElement("iframe"));
+    await player.play();
+    place.contentDocument.body.append(player);
+    const { frame } = player.info;
+    for (let frames = 0; frames < 5; frames++) await new Promise((done) => player.addEventListener("timeupdate", done, { once: true }));
+    const [inner, bar] = [player.getBoundingClientRect(), player.shadowRoot.querySelector(".bar")];
+    return [inner.width / inner.height, getComputedStyle(bar).position, player.info.frame !== frame, player.error];
+  });
+  assert.ok(Math.abs(told[0] - 16 / 9) < 0.02, `${told[0]}`);
+  assert.deepEqual(told.slice(1), ["absolute", true, null]);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("other pixels of the screen make another picture", async () => {
+  const page = await browser.opened("long", { width: 300, height: 200 });
+  await ready(page);
+  await until(page, "inside.stage.renderer.canvas.width === 300");
+  const client = await page.context().newCDPSession(page);
+  // Chromium tells of emulated pixels only together with something else, here of another kind of device.
+  await client.send("Emulation.setDeviceMetricsOverride", { width: 300, height: 200, deviceScaleFactor: 2, mobile: true });
+  await until(page, "inside.stage.renderer.canvas.width === 600");
+  await page.context().close();
+});
+
+test("in a page that goes from right to left, times and speeds are still read from left to right", async () => {
+  const page = await own(`<!doctype html><html dir="rtl">${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player></html>`, { width: 640 });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.of')?.textContent !== ''");
+  const [now, of] = await page.evaluate(() => [".now-at", ".of"].map((each) => document.querySelector("decogs-player").shadowRoot.querySelector(each).getBoundingClientRect().left));
+  assert.ok(now < of, `${now} and ${of}`);
+  await page.context().close();
+});
+
+test("with colours of the system's own, nothing shines through, and the legend keeps its colours", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400 });
+  await page.emulateMedia({ forcedColors: "active" });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null");
+  await page.evaluate(() => (document.querySelector("decogs-player").overlay = "changes"));
+  await until(page, "!player.shadowRoot.querySelector('.legend').hidden");
+  const colours = await page.evaluate(() => {
+    const { shadowRoot } = document.querySelector("decogs-player");
+    return [".bar", ".now", ".past"].map((each) => getComputedStyle(shadowRoot.querySelector(each)).backgroundColor);
+  });
+  assert.match(colours[0], /^rgb\(/, "no alpha");
+  assert.deepEqual(colours.slice(1), ["rgb(255, 219, 115)", "rgb(237, 71, 33)"]);
+  await page.context().close();
+});
+
+test("in a place for little more than a picture, what there is can be reached", async () => {
+  const page = await browser.opened("long", { width: 160, height: 90 });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null");
+  const out = await page.evaluate(() => {
+    const { shadowRoot } = document.querySelector("decogs-player");
+    const shown = [...shadowRoot.querySelectorAll(".bar, .row > *, .notice")].filter((each) => each.checkVisibility());
+    return shown.filter((each) => {
+      const { left, right, top, bottom } = each.getBoundingClientRect();
+      return left < 0 || top < 0 || right > innerWidth || bottom > innerHeight;
+    }).map((each) => each.className || each.name);
+  });
+  assert.deepEqual(out, []);
+  await page.locator(".play").click();
+  await until(page, "!player.paused");
+  await page.context().close();
+});
+
 test("zooming out ends, and what is no overlay is refused", async () => {
   const page = await browser.opened("dome");
   await ready(page);

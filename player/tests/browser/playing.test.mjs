@@ -64,6 +64,25 @@ test("a range of frames is played again and again", async () => {
   await page.context().close();
 });
 
+test("a range that ends behind the last frame is one up to there", async () => {
+  const page = await browser.opened("degree1", { query: "&range=2:99" });
+  await ready(page);
+  await until(page, "inside.playback.complete");
+  const seen = await page.evaluate(async () => {
+    const player = document.querySelector("decogs-player");
+    const seen = [];
+    void player.play();
+    while (seen.length < 12) {
+      await new Promise((done) => player.addEventListener("timeupdate", done, { once: true }));
+      seen.push(player.info.frame);
+    }
+    return seen;
+  });
+  const inside = seen.slice(seen.indexOf(3));
+  assert.ok(inside.every((frame) => frame >= 2), `${inside}`);
+  await page.context().close();
+});
+
 test("a time that is set before the header has come is where playing begins", async () => {
   const page = await browser.opened("long");
   await ready(page);
