@@ -162,6 +162,9 @@ export class Timeline {
     const { left, width } = this.track.getBoundingClientRect();
     this.tip.hidden = false;
     const half = this.tip.offsetWidth / 2;
-    this.tip.style.left = `${Math.max(half, Math.min(width - half, event.clientX - left))}px`;
+    // In the track's own pixels, which a page may show larger or smaller.
+    const { clientWidth } = this.track;
+    const at = ((event.clientX - left) / width) * clientWidth;
+    this.tip.style.left = `${Math.max(half, Math.min(clientWidth - half, at))}px`;
   }
 }

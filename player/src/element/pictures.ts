@@ -67,6 +67,7 @@ export class Pictures {
       host.resend();
     };
     this.#fast = fastRenderer(this.#canvas, restored, () => {
+      if (!this.exact) this.stage.forget();
       this.#lostTimer = window.setTimeout(() => {
         this.#giveUpFast();
       }, LOST_MS);

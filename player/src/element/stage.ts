@@ -114,6 +114,11 @@ export class Stage {
     this.touch();
   }
 
+  /** What the renderer had is gone: nothing is drawn until it is sent again. */
+  forget(): void {
+    this.ordered = false;
+  }
+
   /** Something to be seen has changed. */
   touch(): void {
     this.dirty = true;

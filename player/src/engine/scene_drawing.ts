@@ -102,6 +102,11 @@ export class SceneDrawing implements Drawing {
   }
 
   dispose(): void {
+    this.#layout = null; // who draws on draws nothing
+    this.#leave();
+  }
+
+  #leave(): void {
     this.#gl?.canvas.removeEventListener("webglcontextrestored", this.#restored);
     this.#release();
     this.#gl = null;
@@ -109,7 +114,7 @@ export class SceneDrawing implements Drawing {
 
   #startIn(gl: WebGL2RenderingContext, layout: TextureLayout): void {
     if (gl !== this.#gl) {
-      this.dispose();
+      this.#leave();
       this.#gl = gl;
       gl.canvas.addEventListener("webglcontextrestored", this.#restored);
     }

@@ -212,6 +212,27 @@ test("people are told that they may turn the picture, which turns by itself unti
   await page.context().close();
 });
 
+test("the timeline's words stand where the pointer is, in a page that shows the player smaller, too", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400 });
+  await ready(page);
+  await until(page, "player.shadowRoot.querySelector('.bar') !== null");
+  await page.evaluate(() => (document.querySelector("decogs-player").style.cssText = "transform: scale(.5); transform-origin: 0 0"));
+  const track = await page.locator(".timeline").boundingBox();
+  await page.mouse.move(track.x + track.width / 2, track.y + 3);
+  await page.locator(".tip").waitFor();
+  const tip = await page.locator(".tip").boundingBox();
+  assert.ok(Math.abs(tip.x + tip.width / 2 - (track.x + track.width / 2)) < 2, `${tip.x}, ${tip.width}`);
+  await page.context().close();
+});
+
+test("an error with a long address stays in the player", async () => {
+  const page = await browser.opened("x".repeat(200), { width: 320, height: 300 });
+  await until(page, "player.error !== null && player.shadowRoot.querySelector('.notice')?.checkVisibility()");
+  const [inner, outer] = await page.evaluate(() => { const { scrollWidth, clientWidth } = document.querySelector("decogs-player").shadowRoot.querySelector(".notice"); return [scrollWidth, clientWidth]; });
+  assert.ok(inner <= outer, `${inner} in ${outer}`);
+  await page.context().close();
+});
+
 test("an invitation gives way to the menu, which fades where it goes on", async () => {
   const page = await browser.opened("long", { width: 320, height: 400 });
   await ready(page);

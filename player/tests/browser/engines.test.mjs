@@ -102,13 +102,13 @@ for (const [engine, how, said] of REFUSED) {
 for (const engine of ["three", "playcanvas"]) {
   test(`${engine}: an object of no size is not drawn, and nothing is wrong`, async () => {
     const told = await page.evaluate(([engine, address]) => globalThis.refused[engine](address, "nothing"), [engine, "/data/engine.dgs"]);
-    assert.deepEqual(told, { error: null, errors: 0, nothing: true });
+    assert.deepEqual(told, { error: null, errors: 0, nothing: true, behind: 0 });
     assert.deepEqual(page.complaints, []);
   });
 
-  test(`${engine}: the same camera draws what may be drawn`, async () => {
+  test(`${engine}: the same camera draws what may be drawn, and nothing of a stream that was given back`, async () => {
     const told = await page.evaluate(([engine, address]) => globalThis.refused[engine](address, "whole"), [engine, "/data/engine.dgs"]);
-    assert.deepEqual(told, { error: null, errors: 0, nothing: false });
+    assert.deepEqual(told, { error: null, errors: 0, nothing: false, behind: 0 });
     assert.deepEqual(page.complaints, []);
   });
 }

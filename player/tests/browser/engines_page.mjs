@@ -151,6 +151,16 @@ async function toldOf(player, draw, canvas) {
   return { error: player.error, errors, nothing: canvas.toDataURL() === blank };
 }
 
+/** How many textures are made of a stream that was given back and is still drawn. */
+function texturesBehind(gl, dispose, draw) {
+  let made = 0;
+  const { createTexture } = gl;
+  gl.createTexture = () => (made++, createTexture.call(gl));
+  dispose();
+  draw();
+  return made;
+}
+
 /** What is said of a camera, an object or a renderer that no stream can be drawn with. */
 globalThis.refused = {
   async three(address, how, WebGPURenderer = null) {
@@ -168,10 +178,11 @@ globalThis.refused = {
     const scene = new three.Scene();
     renderer.render(scene, camera);
     scene.add(stream);
-    const told = await toldOf(stream.player, () => renderer.render(scene, camera), canvas);
-    stream.dispose();
+    const draw = () => renderer.render(scene, camera);
+    const told = await toldOf(stream.player, draw, canvas);
+    const behind = texturesBehind(canvas.getContext("webgl2"), () => stream.dispose(), draw);
     renderer.dispose();
-    return told;
+    return { ...told, behind };
   },
 
   async playcanvas(address, how) {
@@ -202,9 +213,9 @@ globalThis.refused = {
     app.render();
     entity.enabled = true;
     const told = await toldOf(stream.player, () => app.render(), canvas);
-    stream.destroy();
+    const behind = texturesBehind(app.graphicsDevice.gl, () => stream.destroy(), () => app.render());
     app.destroy();
     canvas.remove();
-    return told;
+    return { ...told, behind };
   },
 };

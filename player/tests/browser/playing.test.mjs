@@ -4,7 +4,7 @@ import { mkdtempSync, readFileSync, rmSync, writeFileSync, appendFileSync } from
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { DATA, filed, listed, picture, psnr, ready, show, started, until } from "./harness.mjs";
+import { DATA, filed, listed, picture, pixelsOf, psnr, ready, show, started, until } from "./harness.mjs";
 
 let browser;
 const folder = mkdtempSync(join(tmpdir(), "decogs-growing-"));
@@ -223,6 +223,34 @@ test("a lost WebGL context comes back with the same picture", async () => {
   await agrees(page, 7);
   await show(page, 61);
   await agrees(page, 61);
+  await page.context().close();
+});
+
+test("a picture that is asked for while the WebGL context is lost, or just back, is the whole one", async () => {
+  const page = await browser.opened("long");
+  await ready(page);
+  await show(page, 7);
+  const shots = await page.evaluate(async () => {
+    const player = document.querySelector("decogs-player");
+    const { canvas } = player[Symbol.for("decogs.inside")].stage.renderer;
+    const extension = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+    const next = (name) => new Promise((done) => canvas.addEventListener(name, done, { once: true }));
+    const told = async (picture) => `data:image/png;base64,${btoa(Array.from(new Uint8Array(await (await picture).arrayBuffer()), (byte) => String.fromCharCode(byte)).join(""))}`;
+    const lost = next("webglcontextlost");
+    extension.loseContext();
+    await lost;
+    const first = told(player.capture(200, 150));
+    await new Promise((done) => setTimeout(done, 200));
+    const restored = next("webglcontextrestored");
+    extension.restoreContext();
+    await restored;
+    return [await told(player.capture(200, 150)), await first];
+  });
+  const wanted = await filed(page, expected(7));
+  for (const shot of shots) {
+    const decibels = psnr(await pixelsOf(page, shot), wanted);
+    assert.ok(decibels >= 40, `${decibels.toFixed(1)} dB`);
+  }
   await page.context().close();
 });
 
