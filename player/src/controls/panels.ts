@@ -317,8 +317,8 @@ export class Panels {
     this.part(".of").textContent = player.header === null ? "" : ` / ${timeText(player.duration)}`;
     this.updateCameras();
     this.select("overlay").value = player.overlay;
-    this.select("rate").value = String(player.playbackRate);
-    this.select("quality").value = String(player.quality);
+    choose(this.select("rate"), player.playbackRate, `${player.playbackRate} ×`);
+    choose(this.select("quality"), player.quality, `${Math.round(100 * player.quality)} %`);
     this.input("loop").checked = player.loop;
     this.input("exact").checked = player.exact;
     this.input("exact").disabled = !player.canChooseExact;
@@ -454,4 +454,12 @@ export class Panels {
   private input(name: string): HTMLInputElement {
     return this.field(name) as HTMLInputElement;
   }
+}
+
+/** Shows a value that a page may have set to what is not among those offered. */
+function choose(select: HTMLSelectElement, value: number, text: string): void {
+  select.value = String(value);
+  if (select.selectedIndex >= 0) return;
+  const own = select.querySelector<HTMLOptionElement>(".own") ?? select.appendChild(Object.assign(new Option(), { className: "own" }));
+  Object.assign(own, { text, value: String(value), selected: true });
 }

@@ -37,6 +37,9 @@ interface Left {
   readonly view: View | null;
 }
 
+/** What screen readers say until a stream has told its title. */
+const UNNAMED = "Free-viewpoint video";
+
 /** Where the project's own tests look inside; nothing of it is promised to anybody. */
 const INSIDE = Symbol.for("decogs.inside");
 
@@ -91,6 +94,8 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   /** Where it stood when the element left the page. */
   #left: Left | null = null;
   #comparing = false;
+  /** The name that the page's author has not given. */
+  #ownName = "";
   #pausedByHiding = false;
   #ticking = 0;
   #lastTick = 0;
@@ -123,7 +128,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   connectedCallback(): void {
     if (!this.hasAttribute("tabindex")) this.tabIndex = 0;
     if (!this.hasAttribute("role")) this.setAttribute("role", "region");
-    if (!this.hasAttribute("aria-label")) this.setAttribute("aria-label", "Free-viewpoint video");
+    if (!this.hasAttribute("aria-label")) this.#name(UNNAMED);
     this.#resized.observe(this);
     this.#document = this.ownerDocument;
     this.#ratio.begin(this.#window);
@@ -555,6 +560,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   /** The camera that was asked for, or the first; a view that was asked for comes before both. */
   #opened(header: StreamHeader): void {
     this.#pictures!.layBehind(this.getAttribute("background"));
+    if (this.getAttribute("aria-label") === this.#ownName) this.#name(header.presentation.title || UNNAMED);
     const cameras = new RigCameras(header, this.#pictures!.stage.navigation);
     this.#cameras = cameras;
     const left = this.#left;
@@ -566,6 +572,11 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     this.#limit();
     this.#sway();
     if (this.quality < 1) this.#chooseQuality();
+  }
+
+  #name(text: string): void {
+    this.#ownName = text;
+    this.setAttribute("aria-label", text);
   }
 
   #chooseQuality(): void {

@@ -233,6 +233,19 @@ test("an error with a long address stays in the player", async () => {
   await page.context().close();
 });
 
+test("the menu shows speeds and qualities that only the page has chosen", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400, query: "&quality=0.3" });
+  await ready(page);
+  await page.evaluate(() => (document.querySelector("decogs-player").playbackRate = 1.5));
+  await page.locator("[name=menu]").click();
+  await until(page, "player.shadowRoot.querySelector('[name=rate]').value === '1.5'");
+  const shown = (name) => page.evaluate((name) => document.querySelector("decogs-player").shadowRoot.querySelector(`[name=${name}]`).selectedOptions[0]?.text, name);
+  assert.deepEqual([await shown("rate"), await shown("quality")], ["1.5 ×", "30 %"]);
+  await page.locator("[name=rate]").selectOption("2");
+  assert.equal(await page.evaluate(() => document.querySelector("decogs-player").playbackRate), 2);
+  await page.context().close();
+});
+
 test("an invitation gives way to the menu, which fades where it goes on", async () => {
   const page = await browser.opened("long", { width: 320, height: 400 });
   await ready(page);

@@ -260,6 +260,17 @@ test("in another document, which forgets what was adopted, the player has its lo
   await page.context().close();
 });
 
+test("screen readers hear a stream's title, unless the page has another name", async () => {
+  const page = await own(`<!doctype html>${PLAYER}<decogs-player src="/data/shown0.dgs"></decogs-player><decogs-player src="/data/shown0.dgs" aria-label="Mine"></decogs-player>`);
+  const names = () => page.evaluate(() => [...document.querySelectorAll("decogs-player")].map((player) => player.ariaLabel));
+  await page.waitForFunction(() => [...document.querySelectorAll("decogs-player")].every(({ info }) => info));
+  assert.deepEqual(await names(), ["Three <cameras> & a ball", "Mine"]);
+  await page.evaluate(() => (document.querySelector("decogs-player").src = "/data/degree1.dgs"));
+  await until(page, "player.info !== null && player.header.presentation.title === ''");
+  assert.deepEqual(await names(), ["Free-viewpoint video", "Mine"]);
+  await page.context().close();
+});
+
 test("other pixels of the screen make another picture", async () => {
   const page = await browser.opened("long", { width: 300, height: 200 });
   await ready(page);
