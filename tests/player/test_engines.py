@@ -1,4 +1,4 @@
-"""Streams in scenes of the oldest and the newest releases of engines that the package @decogs/player names as its peers.
+"""Streams in scenes of the oldest and the newest releases of engines that @decogs/player names as its peers.
 
 Needs Node, npm and its registry, and Chromium.
 """
