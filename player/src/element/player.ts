@@ -130,7 +130,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (!this.hasAttribute("role")) this.setAttribute("role", "region");
     if (!this.hasAttribute("aria-label")) this.#name(UNNAMED);
     this.#resized.observe(this);
-    this.#document = this.ownerDocument;
+    if (this.#document !== this.ownerDocument) this.#moveTo(this.ownerDocument);
     this.#ratio.begin(this.#window);
     this.#document.addEventListener("visibilitychange", this.#visibilityChanged);
     if (this.#pictures === null || this.#source !== this.#address) this.#open();
@@ -464,13 +464,22 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return this.#document.defaultView ?? window;
   }
 
+  /** What another window was asked for may never come: it may have been closed. */
+  #moveTo(document: Document): void {
+    this.#window.cancelAnimationFrame(this.#ticking);
+    this.#ticking = 0;
+    this.#document = document;
+    this.#wake();
+  }
+
   /** Something is to be drawn or to be waited for: ticks until it is done. */
   #wake(): void {
     if (this.#ticking === 0) this.#ticking = this.#window.requestAnimationFrame(this.#tick);
   }
 
-  readonly #tick = (now: number): void => {
+  readonly #tick = (at: number): void => {
     this.#ticking = 0;
+    const now = this.#window === window ? at : performance.now(); // each window counts from its own beginning
     const { playback } = this.#session;
     const seconds = Math.min(LONGEST_STEP, Math.max(0, (now - this.#lastTick) / 1000));
     this.#lastTick = now;

@@ -250,9 +250,19 @@ test("in another document, which forgets what was adopted, the player has its lo
     await player.play();
     place.contentDocument.body.append(player);
     const { frame } = player.info;
-    for (let frames = 0; frames < 5; frames++) await new Promise((done) => player.addEventListener("timeupdate", done, { once: true }));
+    const frames = async (count) => {
+      for (let frames = 0; frames < count; frames++) await new Promise((done) => player.addEventListener("timeupdate", done, { once: true }));
+    };
+    await frames(5);
     const [inner, bar] = [player.getBoundingClientRect(), player.shadowRoot.querySelector(".bar")];
-    return [inner.width / inner.height, getComputedStyle(bar).position, player.info.frame !== frame, player.error];
+    const told = [inner.width / inner.height, getComputedStyle(bar).position, player.info.frame !== frame, player.error];
+    // And back, when the other window is no more.
+    place.contentWindow.requestAnimationFrame = () => 1;
+    await new Promise((done) => setTimeout(done, 200));
+    document.body.append(player);
+    place.remove();
+    await frames(3);
+    return told;
   });
   assert.ok(Math.abs(told[0] - 16 / 9) < 0.02, `${told[0]}`);
   assert.deepEqual(told.slice(1), ["absolute", true, null]);
