@@ -39,7 +39,7 @@ export class Stage {
   /** Of the picture that was timed last; and the one before that was shrunk, with what it took. */
   private drawnScale = 1;
   private larger: { readonly scale: number; readonly ms: number } | null = null;
-  /** Whether a picture was slow since the stream began. */
+  /** Whether a picture was slow, and none since then fast. */
   private slow = false;
   /** Whether shrinking has not helped. */
   private futile = false;
@@ -220,6 +220,9 @@ export class Stage {
       }
       this.larger = { scale: drawnScale, ms: drawMs };
       this.scale = Math.max(SMALLEST, this.scale * 0.7);
-    } else if (drawMs < FAST_MS) this.scale = Math.min(1, this.scale / 0.9);
+    } else if (drawMs < FAST_MS) {
+      this.slow &&= this.scale < 1;
+      this.scale = Math.min(1, this.scale / 0.9);
+    }
   }
 }

@@ -89,6 +89,18 @@ test("where pictures are slow, they are drawn quickly while they move, and once 
   assert.ok(!stage.pending);
 });
 
+test("one slow picture, as the first one is that waits for its shaders, makes no others coarse", () => {
+  const quickly: boolean[] = [];
+  const stage = stageOf([], [], () => (quickly.length === 1 ? 200 : 5), [], quickly);
+  stage.begin();
+  stage.load(null, order(1));
+  for (let picture = 0; picture < 5; picture++) {
+    stage.touch();
+    stage.step(20 * picture, 0.02, true);
+  }
+  assert.deepEqual(quickly, [false, true, false, false, false]);
+});
+
 test("where they are fast, none is drawn quickly; at a lower quality all are", () => {
   const quickly: boolean[] = [];
   const stage = stageOf([], [], () => 20, [], quickly);
