@@ -35,7 +35,7 @@ globalThis.scenes = {
     renderer.setSize(innerWidth, innerHeight);
     document.body.append(renderer.domElement);
     const scene = new three.Scene();
-    scene.background = new three.Color("#8fb4d8");
+    scene.background = new three.Color().setRGB(...stream.player.header.background, three.SRGBColorSpace);
     scene.add(new three.HemisphereLight(0xffffff, 0x666677, 3));
     stream.quaternion.setFromUnitVectors(new three.Vector3(...stream.player.up), new three.Vector3(0, 1, 0));
     scene.add(stream);
@@ -72,7 +72,7 @@ globalThis.scenes = {
     entity.setRotation(new pc.Quat().setFromDirections(new pc.Vec3(stream.player.up), pc.Vec3.UP));
     const [eye, aim] = [centre, target].map((place) => entity.getWorldTransform().transformPoint(new pc.Vec3(place)));
     const camera = new pc.Entity();
-    camera.addComponent("camera", { clearColor: new pc.Color(0.56, 0.7, 0.85), fov, nearClip: far / 100, farClip: 100 * far });
+    camera.addComponent("camera", { clearColor: new pc.Color(stream.player.header.background), fov, nearClip: far / 100, farClip: 100 * far });
     camera.setPosition(new pc.Vec3().lerp(eye, aim, -0.3));
     camera.lookAt(aim);
     app.root.addChild(camera);
