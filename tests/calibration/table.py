@@ -11,7 +11,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +25,13 @@ from decogs.formats.rigs import Rig, open_rig
 F64 = NDArray[np.float64]
 
 
-def found_from(rig: Rig, left_out: set[str], **choices: Any) -> Calibration:
+def found_from(rig: Rig, options: argparse.Namespace) -> Calibration:
     """The calibration found from the rig's videos alone."""
     with tempfile.TemporaryDirectory() as folder:
         for camera, source in zip(rig.cameras, rig.sources, strict=True):
-            if camera.name not in left_out:
+            if camera.name not in options.without.split(","):
                 (Path(folder) / f"{camera.name}{source.path.suffix}").symlink_to(source.path.resolve())
-        return calibrate(Path(folder), **choices)
+        return calibrate(Path(folder), board=options.board, intrinsics=options.intrinsics, frames=options.instants)
 
 
 def laid_over(found: Sequence[Camera], given: Sequence[Camera]) -> list[Camera]:
@@ -63,20 +62,23 @@ def deviations(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[F64, F
     return degrees, 100 * np.linalg.norm(here - there, axis=1) / baseline, 100 * np.array(focal)
 
 
+def rig_parser(description: str | None) -> argparse.ArgumentParser:
+    """Options of a script that calibrates a rig."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("rig", type=Path)
+    parser.add_argument("--board", type=parse_board)
+    parser.add_argument("--intrinsics", type=Path)
+    parser.add_argument("--instants", type=int, help="of the take that the calibration looks at")
+    parser.add_argument("--without", default="", help="names of cameras, with commas between them")
+    return parser
+
+
 def main() -> None:
     """Prints the rig's row of the table, and one for each camera."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("rig", type=Path)
-    parser.add_argument("--board")
-    parser.add_argument("--intrinsics", type=Path)
-    parser.add_argument("--frames", type=int)
-    parser.add_argument("--without", default="", help="names of cameras, with commas between them")
-    options = parser.parse_args()
+    options = rig_parser(__doc__).parse_args()
     rig, start = open_rig(options.rig), time.process_time()
-    board = None if options.board is None else parse_board(options.board)
-    choices = {"board": board, "intrinsics": options.intrinsics, "frames": options.frames}
     try:
-        calibration = found_from(rig, set(options.without.split(",")), **choices)
+        calibration = found_from(rig, options)
     except DecogsError as error:
         print(error)
         print(f"| {options.rig.name} | refused | | | | {time.process_time() - start:.0f} |")
