@@ -8,7 +8,7 @@ adjustment with free lenses bends these to make up for it (`desk_charuco_4cam`: 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -39,12 +39,14 @@ Pose = tuple[F64, F64]
 class BoardRig:
     """Placed cameras: poses from the world to the camera, and the RMS error of each, px, by number.
 
-    ``inconsistent``: numbers of cameras that see the board with others, but not where these see it.
+    ``inconsistent``: numbers of cameras that see the board with others, but not where these see it. ``points`` (P, 3):
+    where the board's corners were.
     """
 
     poses: Mapping[int, Pose]
     errors: Mapping[int, float]
     inconsistent: tuple[int, ...]
+    points: F64 = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def place_by_board(
@@ -71,7 +73,8 @@ def place_by_board(
         if instant in state.boards
     }
     state = _adjusted(state, observed, corners)
-    return BoardRig(state.poses, _errors(state, observed, corners), inconsistent)
+    points = [corners @ cv2.Rodrigues(board[0])[0].T + board[1] for board in state.boards.values()]
+    return BoardRig(state.poses, _errors(state, observed, corners), inconsistent, np.concatenate(points))
 
 
 def _sights(

@@ -117,6 +117,7 @@ def place_with_board(
         "metre",
         {names[number]: doubt for number, doubt in found.doubts.items() if number in rig.poses},
         {(names[a], names[b]): count for (a, b), count in common.items() if count},
+        rig.points,
     )
 
 

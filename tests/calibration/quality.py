@@ -1,7 +1,7 @@
 """What found poses cost: ``python tests/calibration/quality.py RIG -o FOLDER``.
 
-The rig is calibrated from its videos, and laid over the given poses by a similarity. Both are encoded in the same way,
-without points from elsewhere and without one camera, whose views are compared with what it recorded; each of
+The rig is calibrated from its videos, and its world laid over the given one by a similarity. Both are encoded in the
+same way, without points from elsewhere and without one camera, whose views are compared with what it recorded; each of
 ``--holdout`` in its turn. With found poses they are from where it was found, and from its given pose, which the found
 world fits only as well as a similarity lays one over the other. FOLDER gets the views beside each other.
 """
@@ -16,7 +16,7 @@ from statistics import fmean
 
 import cv2
 import numpy as np
-from table import deviations, found_from, laid_over, rig_parser
+from table import found_from, rig_parser, worlds_laid_over
 
 from decogs.bench.metrics import BytePicture, psnr, square_error_map
 from decogs.bench.regions import held_out_pictures
@@ -26,10 +26,10 @@ from decogs.decoder.views import render_view
 from decogs.encoder import EncodeJob, encode
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import Rig, open_rig
+from decogs.formats.similarity import transformed_camera
 
 PLACED = "as-found"
 """The left-out camera's name where it was found; by its own name it stands at its given pose."""
-UNITS = "degrees", "% of the mean baseline", "% of focal length"
 
 
 def views(
@@ -81,12 +81,13 @@ def main() -> None:
     options = parser.parse_args()
     options.output.mkdir(exist_ok=True)
     rig = replace(open_rig(options.rig), points=None)
-    found = {one.camera.name: one.camera for one in found_from(rig, options).placed}
+    calibration = found_from(rig, options)
+    found = {one.camera.name: one.camera for one in calibration.placed}
     kept = [number for number, camera in enumerate(rig.cameras) if camera.name in found]
     given = replace(rig, cameras=tuple(rig.cameras[k] for k in kept), sources=tuple(rig.sources[k] for k in kept))
-    moved = laid_over([found[camera.name] for camera in given.cameras], given.cameras)
-    for what, values in zip(UNITS, deviations(moved, given.cameras), strict=True):
-        print(f"{np.median(values):.2f}, {values.max():.2f} {what}", flush=True)
+    placed = [found[camera.name] for camera in given.cameras]
+    by = worlds_laid_over(calibration.points, placed, given.cameras)
+    moved = [transformed_camera(camera, by) for camera in placed]
     for name in options.holdout.split(","):
         every = [measured(given, moved, name, seed, options) for seed in range(options.seeds)]
         for way in every[0]:
