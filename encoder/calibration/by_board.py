@@ -9,6 +9,8 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from decogs.formats.errors import UsageError
+
 from .board_rig import BoardRig, place_by_board
 from .boards import Board, BoardFinder, BoardView, board_views
 from .features import F64
@@ -41,7 +43,10 @@ class BoardLenses:
 def lenses_by_board(
     footage: Sequence[Footage], board: Board, frames: int | None, given: Given | None, on_step: OnStep
 ) -> BoardLenses:
-    """Each camera's lens from its own sights of the board, or the given one, which these must not contradict."""
+    """Each camera's lens from its own sights of the board, or the given one, which these must not contradict.
+
+    Raises UsageError where no camera sees such a board.
+    """
     find, corners, instants = BoardFinder(board), board.corners(), instants_of(footage, frames or _INSTANTS)
     views: dict[int, Mapping[int, BoardView]] = {}
     lenses: dict[int, Lens] = {}
@@ -52,12 +57,17 @@ def lenses_by_board(
         seen = list(views[number].values())
         lens, word = _own_lens(seen, corners, camera.size) if given is None else (given.lenses[number], "")
         if lens is None or not seen:
-            few = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board"
+            few = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board more often"
             reasons[number] = word or few
         else:
             lenses[number] = lens
             doubts |= {number: word} if word else {}
         on_step(number + 1, len(footage))
+    if not any(views.values()):
+        raise UsageError(
+            f"`board`: no camera shows it in {len(instants)} frames looked at; check how many squares it has along "
+            "each side, and its dictionary of markers, or show it to the cameras"
+        )
     sights = {number: list(views[number].values()) for number in lenses}
     if given is not None and (misfits := _misfits(given, sights, corners)):
         raise given.contradicted(footage, misfits)

@@ -48,6 +48,8 @@ def calibrate(
         raise RigError(f"{videos}: holds {len(footage)} cameras ({names}), and a rig needs {MIN_CAMERAS}; add videos")
     if board is not None and distance is not None:
         raise UsageError("`distance`: a board says what a metre is; leave one of them away")
+    if board is not None and shared_intrinsics:
+        raise UsageError("`shared_intrinsics`: a board gives each camera a lens of its own; leave one of them away")
     if intrinsics is not None and shared_intrinsics:
         raise UsageError("`intrinsics`: says which cameras share a lens; leave `shared_intrinsics` away")
     given = None if intrinsics is None else given_lenses(intrinsics, footage)

@@ -89,7 +89,7 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
     if options.frames is not None and options.frames < 1:
         raise UsageError("`frames`: needs at least 1")
     board = None if options.board is None else parse_board(options.board)
-    check_folder(Path(options.output), lenses_only=options.lenses_only)
+    check_folder(Path(options.output), options.intrinsics, lenses_only=options.lenses_only)
     if options.lenses_only:
         _find_lenses(parser, options, board)
         return
@@ -124,6 +124,9 @@ def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | Non
 
     if board is None:
         raise UsageError("`lenses_only`: lenses are found from a board; state it with `board`")
+    for name in ("distance", "sync", "shared_intrinsics"):
+        if getattr(options, name):
+            raise UsageError(f"`{name}`: says nothing of lenses alone; leave it away, or `lenses_only`")
     with progress("calibrating", "step", quiet=options.quiet) as on_step:
         found, doubts = calibrate_lenses(Path(options.videos_dir), board, options.frames, on_step)
     write_lenses(found, Path(options.output))

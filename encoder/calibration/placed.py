@@ -26,6 +26,10 @@ MAX_ERROR = 0.001
 opposite phase, and what cameras see together becomes blur. Right calibrations have .1 to .6."""
 
 
+_MAX_METRES = 1000.0
+"""Between two cameras of a rig; whoever states millimetres states more."""
+
+
 @dataclass(frozen=True)
 class Placed:
     """A camera with its RMS reprojection error in pixels, and the source of its frames."""
@@ -69,8 +73,10 @@ def parse_distance(text: str) -> Distance:
         length = float(metres)
     except ValueError:
         length = 0.0
-    if not (first and second and first != second and 0 < length < 1e6):
-        raise UsageError(f"`distance` {text!r}: expected two cameras and metres, such as cam00:cam01:2.35")
+    if not (first and second and first != second and 0 < length < _MAX_METRES):
+        raise UsageError(
+            f"`distance` {text!r}: expected two cameras and metres, below {_MAX_METRES:.0f}, such as cam00:cam01:2.35"
+        )
     return Distance(first, second, length)
 
 

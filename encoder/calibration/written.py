@@ -10,7 +10,8 @@ from typing import Any
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
-from decogs.formats.outputs import staged_files
+from decogs.formats.outputs import Output, check_outputs, staged_files
+from decogs.formats.rigs.fields import read_json
 
 from .placed import Calibration, Placed
 
@@ -18,10 +19,32 @@ CALIBRATION, _RIG = "calibration.json", "rig.json"
 PAGE = "report.html"
 
 
-def check_folder(folder: Path, *, lenses_only: bool) -> None:
-    """Raises RigError where a rig lies that `write_rig` did not write, or, for lenses alone, any."""
-    if (folder / _RIG).exists() and (lenses_only or not (folder / CALIBRATION).exists()):
-        raise RigError(f"{folder / _RIG}: another calibration is there; name another folder")
+def check_folder(folder: Path, intrinsics: str | None, *, lenses_only: bool) -> None:
+    """Raises RigError where files lie that an earlier calibration of this kind did not write.
+
+    Raises UsageError where it did, and its lenses are the ones that are to be read.
+    """
+    files = [folder / name for name in (_RIG, CALIBRATION, PAGE)]
+    there = [file for file in files if file.exists()]
+    if there and not _is_own(folder, lenses_only):
+        raise RigError(f"{there[0]}: is not of an earlier decogs-calibrate like this one; name another folder")
+    if intrinsics is not None:
+        read = Path(intrinsics)
+        check_outputs(
+            [Output("output", file) for file in files],
+            [(file, "the lenses are read from it") for file in (read, read / _RIG, read / CALIBRATION)],
+        )
+
+
+def _is_own(folder: Path, lenses_only: bool) -> bool:
+    """Whether a folder holds what `write_lenses`, or else `write_rig`, wrote."""
+    file = folder / CALIBRATION
+    if not file.exists() or (folder / _RIG).exists() == lenses_only:
+        return False
+    document = read_json(file)
+    cameras = document.records("cameras") if "cameras" in document else []
+    has_errors = bool(cameras) and all("reprojection_error" in camera for camera in cameras)
+    return has_errors and ("way" in document) != lenses_only
 
 
 def write_rig(found: Calibration, folder: Path, page: str) -> None:

@@ -55,6 +55,8 @@ def test_a_chessboard_s_corners_are_the_same_however_it_is_turned(turns: int) ->
         "chessboard:6x6:0.04",
         "chessboard:6x5",
         "chessboard:6x5:0",
+        "chessboard:6x5:40",
+        "charuco:5x4:5:3.75",
         "charuco:5x4:1",
         "charuco:5x4:0.03:0.05",
         "charuco:9x9:0.05:0.03:DICT_NONE",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -81,11 +82,11 @@ def test_two_cameras_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "holds 2 cameras (a, b)" in capsys.readouterr().err
 
 
-def test_a_board_that_nobody_sees_names_every_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_board_that_nobody_sees_may_be_another_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _write_pictures(tmp_path / "videos", ["a", "b", "c"])
     arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", "charuco:5x4:0.05:0.0375"]
     assert calibrate_main(arguments) == 2
-    assert "a, b, c: sees the board in 0 of 2 frames" in capsys.readouterr().err
+    assert "--board: no camera shows it in 2 frames looked at; check how many squares" in capsys.readouterr().err
     assert not (tmp_path / "rig").exists()
 
 
@@ -116,6 +117,38 @@ def _write_pictures(folder: Path, names: list[str]) -> None:
         (folder / name).mkdir(parents=True)
         for frame in range(2):
             cv2.imwrite(str(folder / name / f"{frame:04d}.png"), np.full((48, 64, 3), 128, np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--shared-intrinsics"], "--shared-intrinsics: a board gives each camera a lens of its own"),
+        (["--distance", "a:b:1"], "--distance: a board says what a metre is"),
+        (["--lenses-only", "--distance", "a:b:1"], "--distance: says nothing of lenses alone"),
+        (["--lenses-only", "--sync", "auto"], "--sync: says nothing of lenses alone"),
+        (["--lenses-only", "--shared-intrinsics"], "--shared-intrinsics: says nothing of lenses alone"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(
+    more: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _write_pictures(tmp_path / "videos", ["a", "b", "c"])
+    arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]
+    assert calibrate_main([*arguments, *more]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "rig").exists()
+
+
+@pytest.mark.parametrize("name", ["a\nb", "\x1b[31m", os.fsdecode(b"\xff")])
+def test_a_name_that_no_rig_could_state_is_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _write_pictures(tmp_path / "videos", ["a", "b", "c"])
+    (tmp_path / "videos" / "a").rename(tmp_path / "videos" / name)
+    assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]) == 2
+    said = capsys.readouterr().err
+    assert "has a name with control characters; rename it" in said
+    assert said.rstrip("\n").isprintable()
 
 
 def test_phones_are_brought_in_step_by_what_they_heard(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,7 +67,7 @@ def test_nothing_placed_has_no_unit() -> None:
     assert scaled(replace(ring(), placed=())).placed == ()
 
 
-@pytest.mark.parametrize("text", ["a:b", "a:b:0", "a:b:x", "a:a:1", ":b:1", "a:b:nan"])
+@pytest.mark.parametrize("text", ["a:b", "a:b:0", "a:b:x", "a:a:1", ":b:1", "a:b:nan", "a:b:1350"])
 def test_a_distance_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="`distance`"):
         parse_distance(text)
