@@ -148,7 +148,9 @@ def _placed_accurately(
         worst = max(excess, key=lambda number: excess[number], default=None)
         if worst is None or excess[worst] <= 1:
             return rig, left_out
-        left_out[worst] = inaccurate(rig.errors[worst], "hold the board still, and synchronise the videos")
+        left_out[worst] = inaccurate(
+            rig.errors[worst], "hold the board and the camera still, and synchronise the videos"
+        )
 
 
 def _disconnected(views: Mapping[int, BoardView], inconsistent: bool) -> str:

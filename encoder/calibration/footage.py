@@ -88,6 +88,17 @@ def check_copies(footage: Sequence[Footage]) -> None:
             )
 
 
+def unequal_lengths(footage: Sequence[Footage]) -> Iterator[str]:
+    """A warning where one camera has less than half the frames of another: no more is looked at of any."""
+    lengths = {camera.name: camera.source.frame_count for camera in footage}
+    shortest, longest = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+    if 2 * lengths[shortest] < lengths[longest]:
+        yield (
+            f"{shortest} has {lengths[shortest]} frames, {longest} has {lengths[longest]}: "
+            "only what all cameras have of the take is looked at"
+        )
+
+
 def pictures_at(camera: Footage, instants: range) -> Iterator[U8]:
     """The camera's pictures (H, W, 3) of these frames, sRGB."""
     if instants.step < _SOUGHT_FROM:

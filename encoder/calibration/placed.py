@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal, get_args
@@ -26,7 +26,7 @@ MAX_ERROR = 0.001
 opposite phase, and what cameras see together becomes blur. Right calibrations have .1 to .6."""
 
 
-_MAX_METRES = 1000.0
+_METRES = 0.001, 1000.0
 """Between two cameras of a rig; whoever states millimetres states more."""
 
 
@@ -73,9 +73,10 @@ def parse_distance(text: str) -> Distance:
         length = float(metres)
     except ValueError:
         length = 0.0
-    if not (first and second and first != second and 0 < length < _MAX_METRES):
+    if not (first and second and first != second and _METRES[0] <= length < _METRES[1]):
         raise UsageError(
-            f"`distance` {text!r}: expected two cameras and metres, below {_MAX_METRES:.0f}, such as cam00:cam01:2.35"
+            f"`distance` {text!r}: expected two cameras and metres between them, {_METRES[0]:g} to {_METRES[1]:g}, "
+            "such as cam00:cam01:2.35"
         )
     return Distance(first, second, length)
 
@@ -101,13 +102,18 @@ def scaled(found: Calibration) -> Calibration:
 def measured(found: Calibration, distance: Distance) -> Calibration:
     """In metres, by a known distance. Raises UsageError where it is not between two placed cameras."""
     centres = {one.camera.name: camera_centre(one.camera) for one in found.placed}
-    for name in (distance.first, distance.second):
-        if name not in centres:
-            raise UsageError(f"`distance` from {name}: placed are {', '.join(centres)}; measure between two of these")
+    check_named(distance, centres)
     length = float(np.linalg.norm(centres[distance.first] - centres[distance.second]))
     if length == 0:
         raise UsageError(f"`distance` from {distance.first} to {distance.second}: they stand in one place")
     return replace(_moved(found, np.eye(3), distance.metres / length), length_unit="metre")
+
+
+def check_named(distance: Distance, cameras: Collection[str]) -> None:
+    """Raises UsageError where a distance is not between two of these cameras."""
+    for name in (distance.first, distance.second):
+        if name not in cameras:
+            raise UsageError(f"`distance` from {name}: there are {', '.join(cameras)}; measure between two of these")
 
 
 def upright(found: Calibration, edge: Edge) -> Calibration:

@@ -10,7 +10,7 @@ from typing import Any
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
-from decogs.formats.outputs import Output, check_outputs, staged_files
+from decogs.formats.outputs import Output, check_outputs
 from decogs.formats.rigs.fields import read_json
 
 from .placed import Calibration, Placed
@@ -47,27 +47,26 @@ def _is_own(folder: Path, lenses_only: bool) -> bool:
     return has_errors and ("way" in document) != lenses_only
 
 
-def write_rig(found: Calibration, folder: Path, page: str) -> None:
-    """Writes rig.json, which names the videos by relative paths, calibration.json and the page."""
+def write_rig(found: Calibration, folder: Path, staging: Path, page: str) -> None:
+    """Writes rig.json, with paths relative to ``folder``, calibration.json and the page into ``staging``."""
     document = {
         "pixel_convention": "(0,0)",
         "cameras": [_camera(one.camera) | _place(one) for one in found.placed],
         "not_connected": list(found.not_connected),
         "way": found.way,
     }
-    _write(folder, {_RIG: _text(_rig(found, folder)), CALIBRATION: _text(document), PAGE: page})
+    _write(staging, {_RIG: _text(_rig(found, folder)), CALIBRATION: _text(document), PAGE: page})
 
 
-def write_lenses(cameras: Mapping[str, tuple[Camera, float]], folder: Path) -> None:
-    """Writes calibration.json with lenses alone, and the error of each, px."""
+def write_lenses(cameras: Mapping[str, tuple[Camera, float]], staging: Path) -> None:
+    """Writes calibration.json with lenses alone, and the error of each, px, into ``staging``."""
     records = [_camera(camera) | {"reprojection_error": error} for camera, error in cameras.values()]
-    _write(folder, {CALIBRATION: _text({"pixel_convention": "(0,0)", "cameras": records})})
+    _write(staging, {CALIBRATION: _text({"pixel_convention": "(0,0)", "cameras": records})})
 
 
-def _write(folder: Path, texts: Mapping[str, str]) -> None:
-    with staged_files(folder) as staging:
-        for name, text in texts.items():
-            (staging / name).write_text(text, encoding="utf-8")
+def _write(staging: Path, texts: Mapping[str, str]) -> None:
+    for name, text in texts.items():
+        (staging / name).write_text(text, encoding="utf-8")
 
 
 def _text(document: Mapping[str, Any]) -> str:

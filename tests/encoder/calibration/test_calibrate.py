@@ -122,6 +122,32 @@ def _write_pictures(folder: Path, names: list[str]) -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
+        (["--distance", "a:d:1"], "--distance from d: there are a, b, c"),
+        (["-o", "{file}"], "file: cannot be written to"),
+        (["-o", "{file}/rig"], "file/rig: cannot be written to"),
+        (["-o", "{file}", "--board", BOARD, "--lenses-only"], "file: cannot be written to"),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_the_work(
+    more: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _write_pictures(tmp_path / "videos", ["a", "b", "c"])
+    (tmp_path / "file").write_text("kept")
+    for module_of_work in ("footage", "by_motion", "by_board"):
+        monkeypatch.delattr(f"decogs.encoder.calibration.{module_of_work}.pictures_at")
+    arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]
+    assert calibrate_main([*arguments, *(each.format(file=tmp_path / "file") for each in more)]) == 2
+    assert said in capsys.readouterr().err
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
         (["--shared-intrinsics"], "--shared-intrinsics: a board gives each camera a lens of its own"),
         (["--distance", "a:b:1"], "--distance: a board says what a metre is"),
         (["--lenses-only", "--distance", "a:b:1"], "--distance: says nothing of lenses alone"),
