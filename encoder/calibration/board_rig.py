@@ -39,13 +39,14 @@ Pose = tuple[F64, F64]
 class BoardRig:
     """Placed cameras: poses from the world to the camera, and the RMS error of each, px, by number.
 
-    ``inconsistent``: numbers of cameras that see the board with others, but not where these see it. ``points`` (P, 3):
-    where the board's corners were.
+    An error is of the sights that count. ``sights``: how far each one is off (RMS, px). ``inconsistent``: numbers of
+    cameras that see the board with others, but not where these see it. ``points`` (P, 3): where its corners were.
     """
 
     poses: Mapping[int, Pose]
     errors: Mapping[int, float]
     inconsistent: tuple[int, ...]
+    sights: Mapping[int, F64] = field(default_factory=dict)
     points: F64 = field(default_factory=lambda: np.zeros((0, 3)))
 
 
@@ -74,7 +75,8 @@ def place_by_board(
     }
     state = _adjusted(state, observed, corners)
     points = [corners @ cv2.Rodrigues(board[0])[0].T + board[1] for board in state.boards.values()]
-    return BoardRig(state.poses, _errors(state, observed, corners), inconsistent, np.concatenate(points))
+    errors, off = _errors(state, observed, corners), _sight_errors(state, observed, corners)
+    return BoardRig(state.poses, errors, inconsistent, off, np.concatenate(points))
 
 
 def _sights(
@@ -277,3 +279,11 @@ def _errors(state: _State, observed: Mapping[tuple[int, int], BoardView], corner
         residuals = _residuals(state, key, view, corners)[0]
         sums[key[0]] += _weight(residuals) * np.array([(residuals**2).sum(), len(residuals)])
     return {camera: float(np.sqrt(total / max(count, 1e-12))) for camera, (total, count) in sums.items()}
+
+
+def _sight_errors(state: _State, observed: Mapping[tuple[int, int], BoardView], corners: F64) -> dict[int, F64]:
+    """Root mean square residuals of each camera's sights, px."""
+    found: dict[int, list[float]] = {camera: [] for camera in state.poses}
+    for key, view in observed.items():
+        found[key[0]].append(float(np.sqrt((_residuals(state, key, view, corners)[0] ** 2).sum(axis=1).mean())))
+    return {camera: np.array(errors) for camera, errors in found.items()}

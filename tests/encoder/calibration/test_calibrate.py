@@ -103,6 +103,19 @@ def test_the_command_places_cameras_by_a_board(tmp_path: Path, capsys: pytest.Ca
         assert turn < 0.5  # a tenth of a pixel of drawn corners, over a small board
 
 
+def test_a_camera_that_is_knocked_while_the_board_is_shown_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_board_videos(tmp_path / "videos")
+    for file in sorted((tmp_path / "videos" / "b").iterdir())[12:]:
+        cv2.imwrite(str(file), np.roll(cv2.imread(str(file)), 8, axis=1))
+    assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert [line.split(": ", 2)[2] for line in said] == [
+        "b: 50% of its sights of the board are off; hold the board and the camera still, and synchronise the videos"
+    ]
+
+
 def test_a_mirrored_video_is_named_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_board_videos(tmp_path / "videos", mirrored="b")
     arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]
