@@ -205,14 +205,18 @@ def how_to_get_one() -> str:
 
 
 def compiles_kernels(command: list[str]) -> bool:
-    """Whether a compiler knows the language and the instruction sets, and finds the C++ library."""
-    with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder, "probe.cpp")
-        source.write_text("#include <optional>\nstd::optional<int> probe() { return 1; }\n")
+    """Whether a compiler knows the language and the instruction sets, and links libraries that Python can load."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        source, library = Path(folder, "probe.cpp"), f"{folder}/probe.so"
+        source.write_text("#include <new>\n#include <optional>\nstd::optional<int*> probe() { return new int; }\n")
         for flags in INSTRUCTION_SETS.values():
-            compiled = [*command, *COMMON_FLAGS, *flags, *SHARED, str(source), "-o", f"{folder}/probe.so"]
+            compiled = [*command, *COMMON_FLAGS, *flags, *SHARED, str(source), "-o", library]
             if subprocess.run(compiled, capture_output=True).returncode:
                 return False
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            return False
     return True
 
 

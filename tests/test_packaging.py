@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from importlib import metadata
@@ -114,13 +115,13 @@ def build_with(compilers: dict[str, str], folder: Path, **environment: str) -> s
 
 
 # A compiler for which every library is this one.
-COPYING = f'for name; do :; done; cp {kernel_path(ROOT / "formats", "_ycbcr", "base")} "$name"'
+COPYING = f'for name; do :; done; {shutil.which("cp")} {kernel_path(ROOT / "formats", "_ycbcr", "base")} "$name"'
 
 
 @pytest.mark.parametrize(("asked", "built"), [("", {"base", best_instruction_set()}), ("all", {*INSTRUCTION_SETS})])
 def test_kernels_are_built_for_this_machine_or_for_all(asked: str, built: set[str], tmp_path: Path) -> None:
     """The plain ones always: what was installed here may be run on a lesser machine."""
-    run = build_with({"g++": COPYING}, tmp_path, DECOGS_KERNELS=asked, PATH=f"{tmp_path}:{os.environ['PATH']}")
+    run = build_with({"g++": COPYING}, tmp_path, DECOGS_KERNELS=asked)
     assert run.returncode == 0, run.stderr
     sets: dict[str, set[str]] = {}
     for library in (tmp_path / "built").rglob("*.abi3.so"):
@@ -139,6 +140,7 @@ TOO_OLD = 'case "$*" in *c++17*) echo "unrecognized -std=c++17" >&2; exit 1;; es
         ({"gcc": "exit 0"}, {}, "a C++ compiler is missing; install g++ 11 or later"),
         ({"g++": TOO_OLD}, {}, "the C++ compiler g++"),
         ({"clang++": "exit 1"}, {}, "the C++ compiler clang++ cannot compile decogs' kernels"),
+        ({"g++": 'for name; do :; done; : > "$name"'}, {}, "the C++ compiler g++ cannot compile decogs' kernels"),
         ({"clang++": "exit 0"}, {"CXX": "mycc -m64"}, "a C++ compiler is missing: CXX names mycc -m64; install"),
     ],
 )
@@ -155,6 +157,6 @@ def test_without_a_compiler_the_build_ends_in_one_sentence(
 
 def test_the_first_compiler_that_can_is_taken(tmp_path: Path) -> None:
     """One that is too old does not keep a newer one from being found."""
-    run = build_with({"g++": TOO_OLD, "clang++": f'echo "$*" >> {tmp_path}/log'}, tmp_path)
+    run = build_with({"g++": TOO_OLD, "clang++": f'echo "$*" >> {tmp_path}/log; {COPYING}'}, tmp_path)
     compiled = (tmp_path / "log").read_text()
     assert "ycbcr.cpp" in compiled, run.stderr
