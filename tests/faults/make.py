@@ -116,10 +116,14 @@ def write_rig(cameras: Sequence[Camera], pictures: Sequence[U8], folder: Path) -
     folder.mkdir(parents=True)
     for camera, own in zip(cameras, pictures, strict=True):
         write_video(folder / f"{camera.name}.mp4", own, 30)
-    records = [_record(camera, f"{camera.name}.mp4") for camera in cameras]
-    document = {"fps": 30, "pixel_convention": "(0.5,0.5)", "cameras": records}
-    (folder / "rig.json").write_text(json.dumps(document))
+    (folder / "rig.json").write_text(json.dumps(rig_document(cameras)))
     return folder
+
+
+def rig_document(cameras: Sequence[Camera]) -> dict[str, Any]:
+    """What rig.json says of cameras whose videos have their names."""
+    records = [_record(camera, f"{camera.name}.mp4") for camera in cameras]
+    return {"fps": 30, "pixel_convention": "(0.5,0.5)", "cameras": records}
 
 
 def _shown(picture: NDArray[np.float32]) -> NDArray[np.float64]:
