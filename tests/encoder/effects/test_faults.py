@@ -210,10 +210,17 @@ def test_the_matrix(scene: str, fault: str, tmp_path: Path) -> None:
     assert trouble(analysis) == expected(fault, names, names.index(camera))
 
 
+KNOWN = {"desk_charuco_4cam": {"cam01": ("late",)}}
+"""What is wrong with rigs as they come. Its board's corners, too, say that cam01 is out of step, by half a frame: they
+are nearer to their epipolar lines one frame later against cam03, in the same frame against cam00."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", ["rigs", "real", "real_static"])
-def test_nothing_is_named_on_untouched_rigs(folder: str) -> None:
+def test_nothing_else_is_named_on_untouched_rigs(folder: str) -> None:
     found = sorted(path for path in (DATA / folder).glob("*") if path.is_dir())
     if not found:
         pytest.skip(f"no rigs at {DATA / folder}")
-    assert {path.name: trouble(analyse(path)) for path in found} == {path.name: {} for path in found}
+    assert {path.name: trouble(analyse(path)) for path in found} == {
+        path.name: KNOWN.get(path.name, {}) for path in found
+    }
