@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.build import build
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import CompileError
 
@@ -87,6 +88,14 @@ def is_windows() -> bool:
 INSTRUCTION_SETS = X86_SETS if is_x86() else {"base": []}
 CODE = [] if is_windows() else ["-fPIC", "-pthread"]
 SHARED = ["-shared", *CODE, *(["-Wl,-s"] if TARGET else [])]
+
+
+class BuildAnew(build):
+    """Without what an earlier build left in the same checkout: modules that are gone would be installed again."""
+
+    def run(self) -> None:
+        shutil.rmtree(self.build_lib, ignore_errors=True)
+        super().run()
 
 
 class BuildKernels(build_ext):
@@ -259,6 +268,6 @@ def kernels() -> list[Extension]:
 if __name__ == "__main__":
     setup(
         ext_modules=kernels(),
-        cmdclass={"build_ext": BuildKernels},
+        cmdclass={"build": BuildAnew, "build_ext": BuildKernels},
         options={"bdist_wheel": {"py_limited_api": "cp310"} | ({"plat_name": TARGET.tag} if TARGET else {})},
     )

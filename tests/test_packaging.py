@@ -97,15 +97,25 @@ def test_the_sample_rig_is_whole() -> None:
     assert sum(path.stat().st_size for path in rig.path.iterdir()) < 3_000_000
 
 
-def build_with(compilers: dict[str, str], folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """A build of the kernels where these are the only programs: scripts of sh by name."""
+def build_with(
+    compilers: dict[str, str], folder: Path, *, what: str = "build_ext", **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """A build of the kernels where these, scripts of sh by name, are the only programs. ``what``: the command."""
     for name, script in compilers.items():
         (folder / name).write_text(f"#!/bin/sh\n{script}\n")
         (folder / name).chmod(0o755)
     left_out = ("CC", "CXX", "DECOGS_KERNEL_CACHE")
     given = {name: value for name, value in os.environ.items() if name not in left_out}
     return subprocess.run(
-        [sys.executable, "setup.py", "build_ext", "-b", str(folder / "built"), "-t", str(folder / "objects")],
+        [
+            sys.executable,
+            "setup.py",
+            what,
+            "--build-lib",
+            str(folder / "built"),
+            "--build-temp",
+            str(folder / "objects"),
+        ],
         cwd=ROOT,
         env={**given, "PATH": str(folder), **environment},
         capture_output=True,
@@ -128,6 +138,17 @@ def test_kernels_are_built_for_this_machine_or_for_all(asked: str, built: set[st
         kernel, _, instruction_set = library.name.partition(".")[0].rpartition("_")
         sets.setdefault(kernel, set()).add(instruction_set)
     assert sets == dict.fromkeys(("_ycbcr", "_forward", "_training", "_cache"), built)
+
+
+def test_modules_that_are_gone_do_not_come_back(tmp_path: Path) -> None:
+    """pip builds in the checkout, where what an earlier build copied still lies."""
+    gone = tmp_path / "built" / "decogs" / "gone.py"
+    gone.parent.mkdir(parents=True)
+    gone.touch()
+    run = build_with({"g++": COPYING}, tmp_path, what="build")
+    assert run.returncode == 0, run.stderr
+    assert gone.with_name("entry.py").exists()
+    assert not gone.exists()
 
 
 TOO_OLD = 'case "$*" in *c++17*) echo "unrecognized -std=c++17" >&2; exit 1;; esac'
