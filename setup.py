@@ -87,7 +87,11 @@ def is_windows() -> bool:
 
 INSTRUCTION_SETS = X86_SETS if is_x86() else {"base": []}
 CODE = [] if is_windows() else ["-fPIC", "-pthread"]
-SHARED = ["-shared", *CODE, *(["-Wl,-s"] if TARGET else [])]
+SHARED = ["-shared", *CODE]
+if TARGET:
+    SHARED.append("-Wl,-s")
+elif is_windows():
+    SHARED.append("-static")  # Python looks for no other DLLs where MinGW-w64 has its own.
 
 
 class BuildAnew(build):

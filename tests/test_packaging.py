@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -138,6 +139,12 @@ def test_kernels_are_built_for_this_machine_or_for_all(asked: str, built: set[st
         kernel, _, instruction_set = library.name.partition(".")[0].rpartition("_")
         sets.setdefault(kernel, set()).add(instruction_set)
     assert sets == dict.fromkeys(("_ycbcr", "_forward", "_training", "_cache"), built)
+
+
+def test_kernels_compiled_on_windows_bring_what_mingw_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python looks for DLLs neither in PATH nor in MinGW-w64's folder."""
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert "-static" in runpy.run_path(str(ROOT / "setup.py"))["SHARED"]
 
 
 def test_modules_that_are_gone_do_not_come_back(tmp_path: Path) -> None:
