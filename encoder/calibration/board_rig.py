@@ -8,7 +8,7 @@ adjustment with free lenses bends these to make up for it (`desk_charuco_4cam`: 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -39,12 +39,15 @@ Pose = tuple[F64, F64]
 class BoardRig:
     """Placed cameras: poses from the world to the camera, and the RMS error of each, px, by number.
 
-    ``inconsistent``: numbers of cameras that see the board with others, but not where these see it.
+    An error is of the sights that count. ``sights``: how far each one is off (RMS, px). ``inconsistent``: numbers of
+    cameras that see the board with others, but not where these see it. ``points`` (P, 3): where its corners were.
     """
 
     poses: Mapping[int, Pose]
     errors: Mapping[int, float]
     inconsistent: tuple[int, ...]
+    sights: Mapping[int, F64] = field(default_factory=dict)
+    points: F64 = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def place_by_board(
@@ -71,7 +74,9 @@ def place_by_board(
         if instant in state.boards
     }
     state = _adjusted(state, observed, corners)
-    return BoardRig(state.poses, _errors(state, observed, corners), inconsistent)
+    points = [corners @ cv2.Rodrigues(board[0])[0].T + board[1] for board in state.boards.values()]
+    errors, off = _errors(state, observed, corners), _sight_errors(state, observed, corners)
+    return BoardRig(state.poses, errors, inconsistent, off, np.concatenate(points))
 
 
 def _sights(
@@ -274,3 +279,11 @@ def _errors(state: _State, observed: Mapping[tuple[int, int], BoardView], corner
         residuals = _residuals(state, key, view, corners)[0]
         sums[key[0]] += _weight(residuals) * np.array([(residuals**2).sum(), len(residuals)])
     return {camera: float(np.sqrt(total / max(count, 1e-12))) for camera, (total, count) in sums.items()}
+
+
+def _sight_errors(state: _State, observed: Mapping[tuple[int, int], BoardView], corners: F64) -> dict[int, F64]:
+    """Root mean square residuals of each camera's sights, px."""
+    found: dict[int, list[float]] = {camera: [] for camera in state.poses}
+    for key, view in observed.items():
+        found[key[0]].append(float(np.sqrt((_residuals(state, key, view, corners)[0] ** 2).sum(axis=1).mean())))
+    return {camera: np.array(errors) for camera, errors in found.items()}

@@ -27,6 +27,8 @@ _CHARUCO = re.compile(
 )
 _CHESSBOARD = re.compile(r"chessboard:([0-9]{1,3})x([0-9]{1,3}):([0-9.]{1,12})", re.ASCII)
 _DICTIONARY = "DICT_4X4_1000"
+_MAX_SQUARE = 1.0
+"""Metres: no print has larger ones, and whoever states millimetres, centimetres or inches states more."""
 _WINDOW = 0.25
 """Of the distance of two corners: half the side of the window that a chessboard's corner is refined in. On the photos
 of `quartet_4cam` corners are exact to .17 pixels; in OpenCV's usual 11 pixels to .2."""
@@ -151,6 +153,8 @@ def parse_board(text: str) -> Board:
         lengths = [float(length) for length in match.groups()[2:4]]
     except ValueError:
         raise UsageError(f"`board` {text!r}: squares and markers are lengths in metres, such as 0.054") from None
+    if lengths[0] >= _MAX_SQUARE:
+        raise UsageError(f"`board` {text!r}: squares of {lengths[0]:g} metres; give lengths in metres, such as 0.054")
     if charuco is None:
         return _chessboard(text, columns, rows, lengths[0])
     return _charuco(text, columns, rows, lengths[0], lengths[1], charuco[5] or _DICTIONARY)

@@ -9,6 +9,8 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from decogs.formats.errors import UsageError
+
 from .board_rig import BoardRig, place_by_board
 from .boards import Board, BoardFinder, BoardView, board_views
 from .features import F64
@@ -22,6 +24,10 @@ _MAX_FOCAL_DEVIATION, _NAMED_FOCAL_DEVIATION = 0.02, 0.01
 """Of a focal length that a board gave, as its share: what is left out, and what is named. On `desk_charuco_4cam`, where
 the board is in the middle of the pictures, deviations of .002, .015 and .016 come with focal lengths off by 1 to 3 %,
 and .044 with one off by 16 %."""
+_MAX_OFF = 0.3
+"""Share of a camera's sights with too large an error, which do not count: of one that is knocked in the middle of a
+take a half, of the webcam of `desk_charuco_4cam` that is most out of step .7, of the others .2."""
+_STILL = "hold the board and the camera still, and synchronise the videos"
 _CONTRADICTED = 1.2
 """Times the least error that a given lens may have. Lenses from other takes have up to 1.02 of it on
 `desk_charuco_4cam`; with a focal length 5 % off, 1.27 where the board is seen well, 1.02 where it is far and flat."""
@@ -41,7 +47,10 @@ class BoardLenses:
 def lenses_by_board(
     footage: Sequence[Footage], board: Board, frames: int | None, given: Given | None, on_step: OnStep
 ) -> BoardLenses:
-    """Each camera's lens from its own sights of the board, or the given one, which these must not contradict."""
+    """Each camera's lens from its own sights of the board, or the given one, which these must not contradict.
+
+    Raises UsageError where no camera sees such a board.
+    """
     find, corners, instants = BoardFinder(board), board.corners(), instants_of(footage, frames or _INSTANTS)
     views: dict[int, Mapping[int, BoardView]] = {}
     lenses: dict[int, Lens] = {}
@@ -52,12 +61,17 @@ def lenses_by_board(
         seen = list(views[number].values())
         lens, word = _own_lens(seen, corners, camera.size) if given is None else (given.lenses[number], "")
         if lens is None or not seen:
-            few = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board"
+            few = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board more often"
             reasons[number] = word or few
         else:
             lenses[number] = lens
             doubts |= {number: word} if word else {}
         on_step(number + 1, len(footage))
+    if not any(views.values()):
+        raise UsageError(
+            f"`board`: no camera shows it in {len(instants)} frames looked at; check how many squares it has along "
+            "each side, and its dictionary of markers, or show it to the cameras"
+        )
     sights = {number: list(views[number].values()) for number in lenses}
     if given is not None and (misfits := _misfits(given, sights, corners)):
         raise given.contradicted(footage, misfits)
@@ -106,6 +120,11 @@ def place_with_board(
         if number not in rig.poses and number not in reasons:
             reasons[number] = _disconnected(found.views[number], number in rig.inconsistent)
     names = [one.name for one in footage]
+    doubts = {number: doubt for number, doubt in found.doubts.items() if number in rig.poses}
+    for number, off in rig.sights.items():
+        share = float((off > MAX_ERROR * footage[number].size[0]).mean())
+        if share > _MAX_OFF:
+            doubts.setdefault(number, f"{share:.0%} of its sights of the board are off; {_STILL}")
     common = {
         pair: len(found.views[pair[0]].keys() & found.views[pair[1]].keys())
         for pair in combinations(sorted(rig.poses), 2)
@@ -115,8 +134,9 @@ def place_with_board(
         {names[number]: reasons[number] for number in sorted(reasons)},
         "board",
         "metre",
-        {names[number]: doubt for number, doubt in found.doubts.items() if number in rig.poses},
+        {names[number]: doubt for number, doubt in sorted(doubts.items())},
         {(names[a], names[b]): count for (a, b), count in common.items() if count},
+        rig.points,
     )
 
 
@@ -137,7 +157,7 @@ def _placed_accurately(
         worst = max(excess, key=lambda number: excess[number], default=None)
         if worst is None or excess[worst] <= 1:
             return rig, left_out
-        left_out[worst] = inaccurate(rig.errors[worst], "hold the board still, and synchronise the videos")
+        left_out[worst] = inaccurate(rig.errors[worst], _STILL)
 
 
 def _disconnected(views: Mapping[int, BoardView], inconsistent: bool) -> str:

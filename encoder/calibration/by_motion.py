@@ -28,6 +28,8 @@ _MAX_FOCAL_ERROR, _NAMED_FOCAL_ERROR = 0.1, 0.02
 _MOVES, _MOVES_MORE = 0.4, 2.0
 """Share of a picture that moves with its camera, at least, and times the usual share: of one that pans .5 to .8; of
 `workbench_drift`, where one camera shakes by a pixel, .5, and others' .3."""
+_SHIFTED = 1.0
+"""Pixels of a picture 640 wide: of cameras that stand still up to .5, of one that shakes (`workbench_drift`) 3.5."""
 _MIRRORED = 3.0
 """Times as many matches. Pictures that have nothing in common match by chance, some ten times, either way."""
 _BOARD = "show all cameras a board (--board), or put a camera in between"
@@ -63,6 +65,9 @@ def place_by_motion(
         raise given.contradicted(footage, misfits)
     found = judged(mapped, footage)
     words = moving_cameras({one.name: own.moving for one, own in zip(footage, features, strict=True)})
+    for one, own in zip(footage, features, strict=True):
+        if own.shifted > _SHIFTED:
+            words[one.name] = "its picture shifts in the take; give a part of the take in which it stands still"
     for number, one in enumerate(footage):
         if found.placed and one.name in found.not_connected:
             pictures = [np.ascontiguousarray(picture[:, ::-1]) for picture in pictures_at(one, instants)]

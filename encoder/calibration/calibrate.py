@@ -14,9 +14,9 @@ from decogs.formats.errors import RigError, UsageError
 from .boards import Board
 from .by_board import lenses_by_board, place_with_board
 from .by_motion import place_by_motion
-from .footage import check_copies, open_footage
+from .footage import check_copies, open_footage, unequal_lengths
 from .given import given_lenses
-from .placed import Calibration, Distance, Edge, OnStep, by_reason, measured, upright
+from .placed import Calibration, Distance, Edge, OnStep, by_reason, check_named, measured, upright
 from .starts import brought_in_step
 
 MIN_CAMERAS = 3
@@ -48,13 +48,18 @@ def calibrate(
         raise RigError(f"{videos}: holds {len(footage)} cameras ({names}), and a rig needs {MIN_CAMERAS}; add videos")
     if board is not None and distance is not None:
         raise UsageError("`distance`: a board says what a metre is; leave one of them away")
+    if board is not None and shared_intrinsics:
+        raise UsageError("`shared_intrinsics`: a board gives each camera a lens of its own; leave one of them away")
     if intrinsics is not None and shared_intrinsics:
         raise UsageError("`intrinsics`: says which cameras share a lens; leave `shared_intrinsics` away")
+    if distance is not None:
+        check_named(distance, [camera.name for camera in footage])
     given = None if intrinsics is None else given_lenses(intrinsics, footage)
     warnings: tuple[str, ...] = ()
     if sync is not None:
         footage, warnings = brought_in_step(videos, footage, sync)
     check_copies(footage)
+    warnings = (*warnings, *unequal_lengths(footage))
     if board is not None:
         found = place_with_board(footage, board, frames, given, on_step)
     else:

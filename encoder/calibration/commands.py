@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import Parser, print_text, progress, run, warn_as, whole_number
 from decogs.formats.errors import UsageError
+from decogs.formats.outputs import staged_files
 
 if TYPE_CHECKING:
     from decogs.formats.cameras import Camera
@@ -21,7 +22,7 @@ EDGES = ("auto", "top", "bottom", "left", "right")
 def calibrate_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-calibrate``: a folder of videos to a rig."""
     parser = calibrate_parser()
-    return run(parser, lambda: _calibrate(parser, parser.parse_args(arguments)), cleans_up=True, encodes=True)
+    return run(parser, lambda: _calibrate(parser, parser.parse_args(arguments)), cleans_up=True, extra="encode")
 
 
 def calibrate_parser() -> Parser:
@@ -89,24 +90,25 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
     if options.frames is not None and options.frames < 1:
         raise UsageError("`frames`: needs at least 1")
     board = None if options.board is None else parse_board(options.board)
-    check_folder(Path(options.output), lenses_only=options.lenses_only)
+    check_folder(Path(options.output), options.intrinsics, lenses_only=options.lenses_only)
     if options.lenses_only:
         _find_lenses(parser, options, board)
         return
-    with progress("calibrating", "step", quiet=options.quiet) as on_step:
-        found = calibrate(
-            Path(options.videos_dir),
-            board=board,
-            frames=options.frames,
-            seed=options.seed,
-            shared_intrinsics=options.shared_intrinsics,
-            intrinsics=None if options.intrinsics is None else Path(options.intrinsics),
-            distance=None if options.distance is None else parse_distance(options.distance),
-            up=options.up,
-            sync=options.sync,
-            on_step=on_step,
-        )
-    write_rig(found, Path(options.output), page_of(found, options.output))
+    with staged_files(Path(options.output)) as staging:
+        with progress("calibrating", "step", quiet=options.quiet) as on_step:
+            found = calibrate(
+                Path(options.videos_dir),
+                board=board,
+                frames=options.frames,
+                seed=options.seed,
+                shared_intrinsics=options.shared_intrinsics,
+                intrinsics=None if options.intrinsics is None else Path(options.intrinsics),
+                distance=None if options.distance is None else parse_distance(options.distance),
+                up=options.up,
+                sync=options.sync,
+                on_step=on_step,
+            )
+        write_rig(found, Path(options.output), staging, page_of(found, options.output))
     for warning in found.warnings:
         warn_as(parser)(warning)
     for reason, names in by_reason(found.not_connected).items():
@@ -124,9 +126,13 @@ def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | Non
 
     if board is None:
         raise UsageError("`lenses_only`: lenses are found from a board; state it with `board`")
-    with progress("calibrating", "step", quiet=options.quiet) as on_step:
-        found, doubts = calibrate_lenses(Path(options.videos_dir), board, options.frames, on_step)
-    write_lenses(found, Path(options.output))
+    for name in ("distance", "sync", "shared_intrinsics"):
+        if getattr(options, name):
+            raise UsageError(f"`{name}`: says nothing of lenses alone; leave it away, or `lenses_only`")
+    with staged_files(Path(options.output)) as staging:
+        with progress("calibrating", "step", quiet=options.quiet) as on_step:
+            found, doubts = calibrate_lenses(Path(options.videos_dir), board, options.frames, on_step)
+        write_lenses(found, staging)
     for doubt, names in by_reason(doubts).items():
         warn_as(parser)(f"{names}: {doubt}")
     print_text("\n".join(_line(camera, error) for camera, error in found.values()))

@@ -7,6 +7,7 @@ are right only where the cameras run in step.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,6 +36,10 @@ _WINDOW = 5
 """Pixels over which differences are averaged."""
 _MARGIN = 9
 """Pixels around what moves that move, too: about the window that describes a feature of the smallest scale."""
+_SHIFTS_WIDTH, _SHIFTS_RESPONSE = 640, 0.4
+"""Of pictures that are held against each other, and the response of phase correlation from which it is believed: a
+camera of `workbench` that is knocked has .6, one of `workbench_drift`, which shakes, .8; false shifts on seven
+recordings have up to .37."""
 _LOWE_RATIO = 0.8
 """Largest distance of the best match over the second best."""
 _MAX_DISTANCE = 0.7
@@ -45,13 +50,15 @@ _MAX_DISTANCE = 0.7
 class Features:
     """Of one camera: pixels (N, 2) from the picture's corner, descriptors (N, 128) of length 1, instants (N,).
 
-    ``moving``: the share of the picture that moves.
+    ``moving``: the share of the picture that moves. ``shifted``: pixels, of a picture 640 wide, by which all of it is
+    elsewhere than in the first instant, at most; 0 where nothing says so.
     """
 
     pixels: F64
     descriptors: NDArray[np.float32]
     instants: I64
     moving: float = 0.0
+    shifted: float = 0.0
 
     def static(self) -> Features:
         """Only those of the median picture."""
@@ -66,8 +73,9 @@ def features_of(pictures: Sequence[U8], extractor: Any) -> Features:
     height, width = pictures[0].shape[:2]
     scale = min(1.0, _MAX_SIDE / max(height, width))
     size = (round(width * scale), round(height * scale))
-    reduced = [cv2.resize(_grey(picture), size, interpolation=cv2.INTER_AREA) for picture in pictures]
-    grey = np.asarray(reduced, np.uint8)
+    grey = np.asarray(
+        [cv2.resize(_grey(picture), size, interpolation=cv2.INTER_AREA) for picture in pictures], np.uint8
+    )
     median = np.median(grey, axis=0).astype(np.uint8)
     moving = _moving(grey, median)
     found = [_sift(median, moving.mean(axis=0) <= 0.5, extractor)]
@@ -78,6 +86,7 @@ def features_of(pictures: Sequence[U8], extractor: Any) -> Features:
         np.concatenate([descriptors for _, descriptors in found]),
         np.repeat(instants, [len(pixels) for pixels, _ in found]),
         float(moving.mean()),
+        _shifted(grey),
     )
 
 
@@ -92,6 +101,19 @@ def _moving(grey: U8, median: U8) -> NDArray[np.bool_]:
     margin = np.ones((_MARGIN, _MARGIN), np.uint8)
     smooth = (cv2.blur(picture.astype(np.float32), (_WINDOW, _WINDOW)) for picture in differences)
     return np.stack([cv2.dilate((picture > limit).astype(np.uint8), margin) > 0 for picture in smooth])
+
+
+def _shifted(grey: U8) -> float:
+    """By how many pixels, of a picture 640 wide, pictures (T, H, W) are shifted against the first, at most.
+
+    By phase correlation (`cv2.phaseCorrelate`), which finds no shift where only part of a picture moves.
+    """
+    height, width = grey.shape[1:]
+    size = (_SHIFTS_WIDTH, max(round(height * _SHIFTS_WIDTH / width), 1))
+    small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.float32) for picture in grey]
+    window = cv2.createHanningWindow(size, cv2.CV_32F)
+    found = [cv2.phaseCorrelate(small[0], picture, window) for picture in small[1:]]
+    return max((math.hypot(*shift) for shift, response in found if response > _SHIFTS_RESPONSE), default=0.0)
 
 
 def _sift(grey: U8, mask: NDArray[np.bool_], extractor: Any) -> tuple[F64, NDArray[np.float32]]:

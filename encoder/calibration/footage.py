@@ -51,7 +51,7 @@ class Footage:
 def open_footage(folder: Path) -> tuple[Footage, ...]:
     """The cameras in a folder, in natural order: its videos, else its folders of pictures, else its pictures.
 
-    Raises RigError where there are none, or two of one name.
+    Raises RigError where there are none, two of one name, or one whose name no rig could state.
     """
     if not folder.is_dir():
         raise RigError(f"{folder}: there is no such folder; give the one that holds the cameras' videos")
@@ -59,6 +59,9 @@ def open_footage(folder: Path) -> tuple[Footage, ...]:
     entries = [entry for entry in framed if entry.is_file()] or framed or list(pictures_in(folder))
     if not entries:
         raise RigError(f"{folder}: no videos in here, nor pictures; put one video for each camera there")
+    unsaid = [entry.name for entry in entries if not str(entry.resolve()).isprintable()]
+    if unsaid:
+        raise RigError(f"{folder}: {unsaid[0]!r}, or a folder it is in, has a name with control characters; rename it")
     twice = [name for name, count in Counter(entry.stem for entry in entries).items() if count > 1]
     if twice:
         raise RigError(f"{folder}: two files are called {twice[0]}; give each camera a name of its own")
@@ -83,6 +86,17 @@ def check_copies(footage: Sequence[Footage]) -> None:
             raise RigError(
                 f"{one.source.path}: {one.name} and {two.name} show the same pictures; is one video there twice?"
             )
+
+
+def unequal_lengths(footage: Sequence[Footage]) -> Iterator[str]:
+    """A warning where one camera has less than half the frames of another: no more is looked at of any."""
+    lengths = {camera.name: camera.source.frame_count for camera in footage}
+    shortest, longest = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+    if 2 * lengths[shortest] < lengths[longest]:
+        yield (
+            f"{shortest} has {lengths[shortest]} frames, {longest} has {lengths[longest]}: "
+            "only what all cameras have of the take is looked at"
+        )
 
 
 def pictures_at(camera: Footage, instants: range) -> Iterator[U8]:

@@ -62,6 +62,8 @@ def given_lenses(path: Path, footage: Sequence[Footage]) -> Given:
 
     Raises RigError for a file that cannot be read, UsageError for one that does not suit the videos.
     """
+    if not path.exists():
+        raise UsageError(f"`intrinsics` {path}: is not there; check the path")
     cameras = {camera.name: camera for camera in _cameras(path)}
     if len(cameras) == 1:
         cameras = dict.fromkeys((one.name for one in footage), *cameras.values())

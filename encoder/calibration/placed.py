@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal, get_args
@@ -24,6 +24,10 @@ EDGES: tuple[Edge, ...] = get_args(Edge)
 MAX_ERROR = 0.001
 """Reprojection error in widths of the picture: a pixel of 1000. By a pixel the finest detail, two pixels wide, is in
 opposite phase, and what cameras see together becomes blur. Right calibrations have .1 to .6."""
+
+
+_METRES = 0.001, 1000.0
+"""Between two cameras of a rig; whoever states millimetres states more."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,11 @@ def parse_distance(text: str) -> Distance:
         length = float(metres)
     except ValueError:
         length = 0.0
-    if not (first and second and first != second and 0 < length < 1e6):
-        raise UsageError(f"`distance` {text!r}: expected two cameras and metres, such as cam00:cam01:2.35")
+    if not (first and second and first != second and _METRES[0] <= length < _METRES[1]):
+        raise UsageError(
+            f"`distance` {text!r}: expected two cameras and metres between them, {_METRES[0]:g} to {_METRES[1]:g}, "
+            "such as cam00:cam01:2.35"
+        )
     return Distance(first, second, length)
 
 
@@ -95,13 +102,18 @@ def scaled(found: Calibration) -> Calibration:
 def measured(found: Calibration, distance: Distance) -> Calibration:
     """In metres, by a known distance. Raises UsageError where it is not between two placed cameras."""
     centres = {one.camera.name: camera_centre(one.camera) for one in found.placed}
-    for name in (distance.first, distance.second):
-        if name not in centres:
-            raise UsageError(f"`distance` from {name}: placed are {', '.join(centres)}; measure between two of these")
+    check_named(distance, centres)
     length = float(np.linalg.norm(centres[distance.first] - centres[distance.second]))
     if length == 0:
         raise UsageError(f"`distance` from {distance.first} to {distance.second}: they stand in one place")
     return replace(_moved(found, np.eye(3), distance.metres / length), length_unit="metre")
+
+
+def check_named(distance: Distance, cameras: Collection[str]) -> None:
+    """Raises UsageError where a distance is not between two of these cameras."""
+    for name in (distance.first, distance.second):
+        if name not in cameras:
+            raise UsageError(f"`distance` from {name}: there are {', '.join(cameras)}; measure between two of these")
 
 
 def upright(found: Calibration, edge: Edge) -> Calibration:

@@ -10,7 +10,8 @@ from typing import Any
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
-from decogs.formats.outputs import staged_files
+from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.rigs.fields import read_json
 
 from .placed import Calibration, Placed
 
@@ -18,33 +19,54 @@ CALIBRATION, _RIG = "calibration.json", "rig.json"
 PAGE = "report.html"
 
 
-def check_folder(folder: Path, *, lenses_only: bool) -> None:
-    """Raises RigError where a rig lies that `write_rig` did not write, or, for lenses alone, any."""
-    if (folder / _RIG).exists() and (lenses_only or not (folder / CALIBRATION).exists()):
-        raise RigError(f"{folder / _RIG}: another calibration is there; name another folder")
+def check_folder(folder: Path, intrinsics: str | None, *, lenses_only: bool) -> None:
+    """Raises RigError where files lie that an earlier calibration of this kind did not write.
+
+    Raises UsageError where it did, and its lenses are the ones that are to be read.
+    """
+    files = [folder / name for name in (_RIG, CALIBRATION, PAGE)]
+    there = [file for file in files if file.exists()]
+    if there and not _is_own(folder, lenses_only):
+        raise RigError(f"{there[0]}: is not of an earlier decogs-calibrate like this one; name another folder")
+    if intrinsics is not None:
+        read = Path(intrinsics)
+        check_outputs(
+            [Output("output", file) for file in files],
+            [(file, "the lenses are read from it") for file in (read, read / _RIG, read / CALIBRATION)],
+        )
 
 
-def write_rig(found: Calibration, folder: Path, page: str) -> None:
-    """Writes rig.json, which names the videos by relative paths, calibration.json and the page."""
+def _is_own(folder: Path, lenses_only: bool) -> bool:
+    """Whether a folder holds what `write_lenses`, or else `write_rig`, wrote."""
+    file = folder / CALIBRATION
+    if not file.exists() or (folder / _RIG).exists() == lenses_only:
+        return False
+    document = read_json(file)
+    cameras = document.records("cameras") if "cameras" in document else []
+    has_errors = bool(cameras) and all("reprojection_error" in camera for camera in cameras)
+    return has_errors and ("way" in document) != lenses_only
+
+
+def write_rig(found: Calibration, folder: Path, staging: Path, page: str) -> None:
+    """Writes rig.json, with paths relative to ``folder``, calibration.json and the page into ``staging``."""
     document = {
         "pixel_convention": "(0,0)",
         "cameras": [_camera(one.camera) | _place(one) for one in found.placed],
         "not_connected": list(found.not_connected),
         "way": found.way,
     }
-    _write(folder, {_RIG: _text(_rig(found, folder)), CALIBRATION: _text(document), PAGE: page})
+    _write(staging, {_RIG: _text(_rig(found, folder)), CALIBRATION: _text(document), PAGE: page})
 
 
-def write_lenses(cameras: Mapping[str, tuple[Camera, float]], folder: Path) -> None:
-    """Writes calibration.json with lenses alone, and the error of each, px."""
+def write_lenses(cameras: Mapping[str, tuple[Camera, float]], staging: Path) -> None:
+    """Writes calibration.json with lenses alone, and the error of each, px, into ``staging``."""
     records = [_camera(camera) | {"reprojection_error": error} for camera, error in cameras.values()]
-    _write(folder, {CALIBRATION: _text({"pixel_convention": "(0,0)", "cameras": records})})
+    _write(staging, {CALIBRATION: _text({"pixel_convention": "(0,0)", "cameras": records})})
 
 
-def _write(folder: Path, texts: Mapping[str, str]) -> None:
-    with staged_files(folder) as staging:
-        for name, text in texts.items():
-            (staging / name).write_text(text, encoding="utf-8")
+def _write(staging: Path, texts: Mapping[str, str]) -> None:
+    for name, text in texts.items():
+        (staging / name).write_text(text, encoding="utf-8")
 
 
 def _text(document: Mapping[str, Any]) -> str:

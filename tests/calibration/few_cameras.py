@@ -1,7 +1,9 @@
 """What decogs-calibrate says of focal lengths of few neighbours, and the truth: ``few_cameras.py RIG ...``.
 
-A row for each subset: how many are placed, what their focal lengths may be off by as it says, and what they are off by.
-``--centre-off`` moves the pictures' features, as of lenses with their axis off the middle; ``--k1`` bends them.
+A row for each subset: how many are placed, what their focal lengths may be off by as it says, what they are off by,
+and how far matches that nothing was fitted to are from epipolar lines of found and given cameras (median), with a word
+on which fit clearly better. ``--centre-off`` moves the pictures' features, as of lenses with their axis off the middle;
+``--k1`` bends them.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from decogs.decoder.lens import distort_pixels, with_k1
 from decogs.encoder.calibration.by_motion import judged
 from decogs.encoder.calibration.features import Features, features_of, matched, sift_extractor
 from decogs.encoder.calibration.footage import Footage, instants_of, pictures_at
-from decogs.encoder.calibration.held_out import split
+from decogs.encoder.calibration.held_out import Score, score, split
 from decogs.encoder.calibration.structure import Matched, map_cameras, require_pycolmap
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre
 from decogs.formats.rigs import open_rig
@@ -38,10 +40,20 @@ def subsets(cameras: list[Camera], sizes: list[int], count: int) -> Iterator[tup
             seen.add(tuple(chosen))
 
 
-def changed(features: Features, camera: Camera, k1: float, off: float) -> Features:
-    """The features as a lens would show them that bends, or has its axis off the middle by so many widths."""
-    pixels = distort_pixels(with_k1(as_pinhole(camera), k1), features.pixels) if k1 else features.pixels
-    return replace(features, pixels=pixels + off * camera.width * np.array([1, -0.75]))
+def changed(features: Features, camera: Camera, k1: float, off: float) -> tuple[Features, Camera]:
+    """The features as a lens would show them that bends, or has its axis off the middle by so many widths; and it."""
+    shift = off * camera.width * np.array([1, -0.75])
+    bent = with_k1(as_pinhole(camera), k1) if k1 else camera
+    pixels = distort_pixels(bent, features.pixels) if k1 else features.pixels
+    return replace(features, pixels=pixels + shift), replace(bent, cx=bent.cx + shift[0], cy=bent.cy + shift[1])
+
+
+def compared(found: Score, given: Score) -> str:
+    """Medians, px, and which cameras fit clearly better."""
+    words = f"{found.error:.2f}, {given.error:.2f} px"
+    if found.is_clearly_better(given):
+        return f"{words}: found"
+    return f"{words}: given" if given.is_clearly_better(found) else words
 
 
 def main() -> None:
@@ -66,7 +78,7 @@ def main() -> None:
         for seed, chosen in subsets(
             list(rig.cameras), [int(size) for size in options.cameras.split(",")], options.subsets
         ):
-            few, features = [footage[number] for number in chosen], [bent[number] for number in chosen]
+            few, features = [footage[number] for number in chosen], [bent[number][0] for number in chosen]
             links = {(a, b): pairs[chosen[a], chosen[b]] for a, b in combinations(range(len(chosen)), 2)}
             start = Matched(
                 [one.name for one in few], [one.size for one in few], features, split(features, links), options.shared
@@ -78,13 +90,20 @@ def main() -> None:
                 print(f"| {head} | refused | | | |", flush=True)
                 continue
             cameras = [one.camera for one in calibration.placed]
-            given = [rig.cameras[chosen[[one.name for one in few].index(camera.name)]] for camera in cameras]
+            every = dict(enumerate(bent[number][1] for number in chosen))
+            given = [every[start.names.index(camera.name)] for camera in cameras]
             said = 100 * np.array([mapped.focal_errors[start.names.index(camera.name)] for camera in cameras])
             degrees, centres, focal = deviations(cameras, given)
             silent = "  <- in silence" if ((focal > 2) & (said < 2)).any() else ""
             word = "in doubt" if calibration.doubts else "accepted"
             truth = f"{np.median(focal):.1f}, {focal.max():.1f} % | {degrees.max():.2f} degrees, {centres.max():.1f} %"
-            print(f"| {head} | {word} | {np.median(said):.1f}, {said.max():.1f} % | {truth} |{silent}", flush=True)
+            matches = compared(
+                mapped.score, score({number: every[number] for number in mapped.cameras}, features, start.pairs)
+            )
+            print(
+                f"| {head} | {word} | {np.median(said):.1f}, {said.max():.1f} % | {truth} | {matches} |{silent}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -9,47 +9,105 @@ import argparse
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.lens import distort_pixels
 from decogs.encoder.calibration.boards import parse_board
 from decogs.encoder.calibration.calibrate import calibrate
+from decogs.encoder.calibration.held_out import rays_of
 from decogs.encoder.calibration.placed import Calibration
-from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project
 from decogs.formats.errors import DecogsError
 from decogs.formats.rigs import Rig, open_rig
+from decogs.formats.similarity import Similarity, transformed_camera
 
 F64 = NDArray[np.float64]
 
+_TRIMMED, _FAR_OFF = 5, 3.0
+"""Times that points which are off by so many times the median are left out: far ones, and seen from two places."""
 
-def found_from(rig: Rig, left_out: set[str], **choices: Any) -> Calibration:
+
+def found_from(rig: Rig, options: argparse.Namespace) -> Calibration:
     """The calibration found from the rig's videos alone."""
     with tempfile.TemporaryDirectory() as folder:
         for camera, source in zip(rig.cameras, rig.sources, strict=True):
-            if camera.name not in left_out:
+            if camera.name not in options.without.split(","):
                 (Path(folder) / f"{camera.name}{source.path.suffix}").symlink_to(source.path.resolve())
-        return calibrate(Path(folder), **choices)
+        return calibrate(Path(folder), board=options.board, intrinsics=options.intrinsics, frames=options.instants)
 
 
 def laid_over(found: Sequence[Camera], given: Sequence[Camera]) -> list[Camera]:
-    """The found cameras moved, turned and scaled as one, so that they come closest to the given ones."""
+    """The found cameras moved, turned and scaled as one, so that their poses come closest to the given ones."""
     turns = [two.world_to_camera[:3, :3].T @ one.world_to_camera[:3, :3] for one, two in zip(found, given, strict=True)]
-    left, _, right = np.linalg.svd(np.sum(turns, axis=0))
-    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    turn = nearest_rotation(np.sum(turns, axis=0))
     here, there = (np.array([camera_centre(camera) for camera in cameras]) for cameras in (found, given))
-    apart, wanted = (here - here.mean(axis=0)) @ turn.T, there - there.mean(axis=0)
-    centres = there.mean(axis=0) + apart * (apart * wanted).sum() / (apart**2).sum()
-    moved = []
-    for camera, centre in zip(found, centres, strict=True):
-        pose = np.eye(4)
-        pose[:3, :3] = camera.world_to_camera[:3, :3] @ turn.T
-        pose[:3, 3] = -pose[:3, :3] @ centre
-        moved.append(replace(camera, world_to_camera=pose))
-    return moved
+    by = with_rotation(turn, here, there)
+    return [transformed_camera(camera, by) for camera in found]
+
+
+def worlds_laid_over(points: F64, found: Sequence[Camera], given: Sequence[Camera]) -> Similarity:
+    """What lays the points that found cameras see over where given ones see them.
+
+    Given and found poses may differ by more than a similarity, and pictures hardly: a camera whose axis is held to be
+    elsewhere in its picture is turned to make up for it.
+    """
+    seen = as_given_cameras_see(points, found, given)
+    kept = np.isfinite(seen).all(axis=1)
+    for _ in range(_TRIMMED):
+        here, there = points[kept], seen[kept]
+        by = with_rotation(nearest_rotation((there - there.mean(axis=0)).T @ (here - here.mean(axis=0))), here, there)
+        apart = np.linalg.norm(by.scale * points @ by.rotation.T + by.shift - seen, axis=1)
+        kept = apart < _FAR_OFF * np.nanmedian(apart)
+    return by
+
+
+def as_given_cameras_see(points: F64, found: Sequence[Camera], given: Sequence[Camera]) -> F64:
+    """The places (P, 3) nearest to given cameras' rays through the pixels where found ones see ``points``, or NaN."""
+    normal, right, sights = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3)), np.zeros(len(points))
+    for one, two in zip(found, given, strict=True):
+        pixels = seen_by(one, points)
+        rows = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+        rays = np.column_stack([rays_of(two, pixels[rows]), np.ones(len(rows))]) @ two.world_to_camera[:3, :3]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        across = np.eye(3) - rays[:, :, None] * rays[:, None]
+        normal[rows] += across
+        right[rows] += across @ camera_centre(two)
+        sights[rows] += 1
+    places = np.full((len(points), 3), np.nan)
+    known = sights >= 2
+    places[known] = np.linalg.solve(normal[known], right[known][..., None])[..., 0]
+    return places
+
+
+def seen_by(camera: Camera, points: F64) -> F64:
+    """Pixels (P, 2) of points (P, 3) through the camera's lens; NaN where they are not in its picture."""
+    columns, rows, depths = project(camera, points)
+    pixels = distort_pixels(camera, np.stack([columns, rows], axis=1))
+    return np.where(in_picture(camera, *pixels.T, depths)[:, None], pixels, np.nan)
+
+
+def shifts(points: F64, found: Sequence[Camera], given: Sequence[Camera]) -> F64:
+    """By how many pixels each camera's view shifts (median) from the found world to the given one laid over it."""
+    by = worlds_laid_over(points, found, given)
+    moved = by.scale * points @ by.rotation.T + by.shift
+    pairs = [(seen_by(one, points), seen_by(two, moved)) for one, two in zip(found, given, strict=True)]
+    return np.array([np.nanmedian(np.linalg.norm(one - two, axis=1)) for one, two in pairs])
+
+
+def nearest_rotation(matrix: F64) -> F64:
+    """The rotation (3, 3) that is most like a matrix (3, 3)."""
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right)
+
+
+def with_rotation(rotation: F64, here: F64, there: F64) -> Similarity:
+    """The similarity with this rotation that brings places (N, 3) closest to others."""
+    apart, wanted = (here - here.mean(axis=0)) @ rotation.T, there - there.mean(axis=0)
+    scale = float((apart * wanted).sum() / (apart**2).sum())
+    return Similarity(rotation, scale, there.mean(axis=0) - scale * rotation @ here.mean(axis=0))
 
 
 def deviations(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[F64, F64, F64]:
@@ -63,20 +121,23 @@ def deviations(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[F64, F
     return degrees, 100 * np.linalg.norm(here - there, axis=1) / baseline, 100 * np.array(focal)
 
 
+def rig_parser(description: str | None) -> argparse.ArgumentParser:
+    """Options of a script that calibrates a rig."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("rig", type=Path)
+    parser.add_argument("--board", type=parse_board)
+    parser.add_argument("--intrinsics", type=Path)
+    parser.add_argument("--instants", type=int, help="of the take that the calibration looks at")
+    parser.add_argument("--without", default="", help="names of cameras, with commas between them")
+    return parser
+
+
 def main() -> None:
     """Prints the rig's row of the table, and one for each camera."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("rig", type=Path)
-    parser.add_argument("--board")
-    parser.add_argument("--intrinsics", type=Path)
-    parser.add_argument("--frames", type=int)
-    parser.add_argument("--without", default="", help="names of cameras, with commas between them")
-    options = parser.parse_args()
+    options = rig_parser(__doc__).parse_args()
     rig, start = open_rig(options.rig), time.process_time()
-    board = None if options.board is None else parse_board(options.board)
-    choices = {"board": board, "intrinsics": options.intrinsics, "frames": options.frames}
     try:
-        calibration = found_from(rig, set(options.without.split(",")), **choices)
+        calibration = found_from(rig, options)
     except DecogsError as error:
         print(error)
         print(f"| {options.rig.name} | refused | | | | {time.process_time() - start:.0f} |")
@@ -92,6 +153,8 @@ def main() -> None:
     print("| rig | cameras | rotation, median, worst | centres, median, worst | focal, median, worst | CPU-s |")
     pairs = [f"{np.median(column):.2f}, {column.max():.2f}" for column in rows.T]
     print(f"| {options.rig.name} | {len(found)} of {len(given)} | {' | '.join(pairs)} | {seconds:.0f} |")
+    pixels = shifts(calibration.points, found, [given[camera.name] for camera in found])
+    print(f"views shift by {np.median(pixels):.2f}, {pixels.max():.2f} px where worlds are laid over each other")
 
 
 if __name__ == "__main__":

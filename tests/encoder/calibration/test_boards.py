@@ -55,6 +55,8 @@ def test_a_chessboard_s_corners_are_the_same_however_it_is_turned(turns: int) ->
         "chessboard:6x6:0.04",
         "chessboard:6x5",
         "chessboard:6x5:0",
+        "chessboard:6x5:40",
+        "charuco:5x4:5:3.75",
         "charuco:5x4:1",
         "charuco:5x4:0.03:0.05",
         "charuco:9x9:0.05:0.03:DICT_NONE",
@@ -86,6 +88,8 @@ def test_cameras_are_placed_by_exact_sights() -> None:
     views, poses = _sights()
     rig = place_by_board(dict.fromkeys(range(3), LENS), views, parse_board(BOARD).corners())
     assert set(rig.poses) == {0, 1, 2}
+    seen = LENS.project(np.zeros(3), np.zeros(3), rig.points)[0] + 0.5  # the world is the first camera's
+    np.testing.assert_allclose(seen, np.concatenate([view.pixels for view in views[0].values()]), atol=0.05)
     for number, pose in enumerate(poses):
         # Sights are exact; what remains is where the steps end.
         np.testing.assert_allclose(np.concatenate(rig.poses[number]), pose, atol=1e-4)

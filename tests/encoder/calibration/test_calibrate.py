@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import builtins
 import json
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -81,11 +83,11 @@ def test_two_cameras_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "holds 2 cameras (a, b)" in capsys.readouterr().err
 
 
-def test_a_board_that_nobody_sees_names_every_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_board_that_nobody_sees_may_be_another_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _write_pictures(tmp_path / "videos", ["a", "b", "c"])
     arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", "charuco:5x4:0.05:0.0375"]
     assert calibrate_main(arguments) == 2
-    assert "a, b, c: sees the board in 0 of 2 frames" in capsys.readouterr().err
+    assert "--board: no camera shows it in 2 frames looked at; check how many squares" in capsys.readouterr().err
     assert not (tmp_path / "rig").exists()
 
 
@@ -102,6 +104,19 @@ def test_the_command_places_cameras_by_a_board(tmp_path: Path, capsys: pytest.Ca
         assert turn < 0.5  # a tenth of a pixel of drawn corners, over a small board
 
 
+def test_a_camera_that_is_knocked_while_the_board_is_shown_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_board_videos(tmp_path / "videos")
+    for file in sorted((tmp_path / "videos" / "b").iterdir())[12:]:
+        cv2.imwrite(str(file), np.roll(cv2.imread(str(file)), 8, axis=1))
+    assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert [line.split(": ", 2)[2] for line in said] == [
+        "b: 50% of its sights of the board are off; hold the board and the camera still, and synchronise the videos"
+    ]
+
+
 def test_a_mirrored_video_is_named_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_board_videos(tmp_path / "videos", mirrored="b")
     arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]
@@ -116,6 +131,65 @@ def _write_pictures(folder: Path, names: list[str]) -> None:
         (folder / name).mkdir(parents=True)
         for frame in range(2):
             cv2.imwrite(str(folder / name / f"{frame:04d}.png"), np.full((48, 64, 3), 128, np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--distance", "a:d:1"], "--distance from d: there are a, b, c"),
+        (["-o", "{file}"], "file: cannot be written to"),
+        (["-o", "{file}/rig"], "file/rig: cannot be written to"),
+        (["-o", "{file}", "--board", BOARD, "--lenses-only"], "file: cannot be written to"),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_the_work(
+    more: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _write_pictures(tmp_path / "videos", ["a", "b", "c"])
+    (tmp_path / "file").write_text("kept")
+    for module_of_work in ("footage", "by_motion", "by_board"):
+        monkeypatch.delattr(f"decogs.encoder.calibration.{module_of_work}.pictures_at")
+    arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]
+    assert calibrate_main([*arguments, *(each.format(file=tmp_path / "file") for each in more)]) == 2
+    assert said in capsys.readouterr().err
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--shared-intrinsics"], "--shared-intrinsics: a board gives each camera a lens of its own"),
+        (["--distance", "a:b:1"], "--distance: a board says what a metre is"),
+        (["--lenses-only", "--distance", "a:b:1"], "--distance: says nothing of lenses alone"),
+        (["--lenses-only", "--sync", "auto"], "--sync: says nothing of lenses alone"),
+        (["--lenses-only", "--shared-intrinsics"], "--shared-intrinsics: says nothing of lenses alone"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(
+    more: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _write_pictures(tmp_path / "videos", ["a", "b", "c"])
+    arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]
+    assert calibrate_main([*arguments, *more]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "rig").exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not take such names")
+@pytest.mark.parametrize("name", ["a\nb", "\x1b[31m", os.fsdecode(b"\xff")])
+def test_a_name_that_no_rig_could_state_is_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _write_pictures(tmp_path / "videos", ["a", "b", "c"])
+    (tmp_path / "videos" / "a").rename(tmp_path / "videos" / name)
+    assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", BOARD]) == 2
+    said = capsys.readouterr().err
+    assert "has a name with control characters; rename it" in said
+    assert said.rstrip("\n").isprintable()
 
 
 def test_phones_are_brought_in_step_by_what_they_heard(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

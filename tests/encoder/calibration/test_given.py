@@ -102,11 +102,33 @@ def test_lenses_alone_come_from_a_board_in_one_camera(tmp_path: Path) -> None:
     assert np.allclose(camera["focal"], FOCAL, rtol=0.01)  # the goal of the focal length
 
 
-def test_a_calibration_of_somebody_else_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "rig.json").write_text("{}")
-    arguments = [str(tmp_path), "-o", str(tmp_path), "-q", "--board", BOARD]
-    assert calibrate_main(arguments) == 2
-    assert "another calibration is there" in capsys.readouterr().err
-    (tmp_path / "calibration.json").write_text("{}")
-    assert calibrate_main([*arguments, "--lenses-only"]) == 2
-    assert "another calibration is there" in capsys.readouterr().err
+@pytest.mark.parametrize("name", ["rig.json", "calibration.json", "report.html"])
+@pytest.mark.parametrize("more", [[], ["--lenses-only"]])
+def test_files_of_somebody_else_are_not_written_over(
+    name: str, more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_text("{}")
+    assert calibrate_main([str(tmp_path), "-o", str(tmp_path), "-q", "--board", BOARD, *more]) == 2
+    assert f"{name}: is not of an earlier decogs-calibrate like this one" in capsys.readouterr().err
+    assert (tmp_path / name).read_text() == "{}"
+
+
+def test_a_calibration_replaces_its_like_but_not_lenses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_board_videos(tmp_path / "videos")
+    lenses, placed = [[str(tmp_path / "videos"), "-q", "--board", BOARD, "-o", str(tmp_path / name)] for name in "lp"]
+    for arguments in (lenses := [*lenses, "--lenses-only"], lenses, placed, placed):
+        assert calibrate_main(arguments) == 0, capsys.readouterr().err
+    refused = {
+        "rig.json: is not of": [*placed, "--lenses-only"],
+        "calibration.json: is not of": lenses[:-1],
+        "the lenses are read from it": [*placed, "--intrinsics", str(tmp_path / "p")],
+        "p/rig.json: the lenses are": [*placed, "--intrinsics", str(tmp_path / "p" / "rig.json")],
+    }
+    for said, arguments in refused.items():
+        assert calibrate_main(arguments) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_lenses_that_are_not_there_are_named(videos: Path) -> None:
+    with pytest.raises(UsageError, match=r"nowhere\.json: is not there"):
+        given_lenses(Path("nowhere.json"), open_footage(videos))

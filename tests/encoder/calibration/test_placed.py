@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from board_videos import write_board_videos
-from decogs.encoder.calibration.footage import check_copies, open_footage
+from decogs.encoder.calibration.footage import check_copies, open_footage, unequal_lengths
 from decogs.encoder.calibration.page import page_of
 from decogs.encoder.calibration.placed import (
     Calibration,
@@ -67,7 +67,7 @@ def test_nothing_placed_has_no_unit() -> None:
     assert scaled(replace(ring(), placed=())).placed == ()
 
 
-@pytest.mark.parametrize("text", ["a:b", "a:b:0", "a:b:x", "a:a:1", ":b:1", "a:b:nan"])
+@pytest.mark.parametrize("text", ["a:b", "a:b:0", "a:b:x", "a:a:1", ":b:1", "a:b:nan", "a:b:1350", "a:b:1e-9"])
 def test_a_distance_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="`distance`"):
         parse_distance(text)
@@ -75,7 +75,7 @@ def test_a_distance_that_is_none_is_refused(text: str) -> None:
 
 
 def test_a_distance_from_a_camera_that_is_not_placed_is_refused() -> None:
-    with pytest.raises(UsageError, match="from cam9: placed are cam0, cam1, cam2, cam3"):
+    with pytest.raises(UsageError, match="from cam9: there are cam0, cam1, cam2, cam3"):
         measured(ring(), Distance("cam9", "cam0", 1.0))
 
 
@@ -86,6 +86,15 @@ def test_a_video_that_is_there_twice_is_named(tmp_path: Path) -> None:
         (tmp_path / "b" / file.name).write_bytes(file.read_bytes())
     with pytest.raises(RigError, match="a and b show the same pictures"):
         check_copies(open_footage(tmp_path))
+
+
+def test_a_video_of_less_than_half_the_frames_of_another_is_named(tmp_path: Path) -> None:
+    write_board_videos(tmp_path, frames=4)
+    for last in range(2, 4):
+        (tmp_path / "b" / f"{last:04d}.png").unlink()
+    assert not list(unequal_lengths(open_footage(tmp_path)))
+    (tmp_path / "b" / "0001.png").unlink()
+    assert [said.split(":")[0] for said in unequal_lengths(open_footage(tmp_path))] == ["b has 1 frames, a has 4"]
 
 
 def test_the_page_shows_every_camera_twice_and_what_is_not_connected(tmp_path: Path) -> None:

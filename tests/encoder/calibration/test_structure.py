@@ -153,6 +153,21 @@ def test_a_camera_whose_whole_picture_moves_is_named() -> None:
     assert not moving_cameras(dict.fromkeys("abc", 0.9)), "everything moves"
 
 
+@pytest.mark.parametrize(("shift", "least", "most"), [(0, 0, 0.2), (3, 5, 7)])
+def test_a_camera_that_is_knocked_shows_it(shift: int, least: float, most: float) -> None:
+    """In pictures 320 wide, from the third on, while something passes through a tenth of them."""
+    draw = np.random.default_rng(4)
+    blurred = cv2.GaussianBlur(draw.integers(0, 256, (240, 330), np.uint8), (0, 0), 2)
+    scene = cv2.normalize(blurred, None, 0, 255, cv2.NORM_MINMAX)
+    pictures = []
+    for instant in range(4):
+        start = shift if instant > 1 else 0
+        picture = scene[:, start : start + 320].copy()
+        picture[80:160, 40 * instant : 100 + 40 * instant] = 200
+        pictures.append(np.repeat(picture[..., None], 3, axis=2))
+    assert least <= features_of(pictures, sift_extractor()).shifted <= most
+
+
 def test_a_word_takes_the_place_of_a_reason_and_is_a_doubt_of_others() -> None:
     found = _explained(Calibration((), {"b": "is lost", "c": "is lost"}, "", ""), {"a": "moves", "b": "moves"})
     assert found.not_connected == {"b": "moves", "c": "is lost"}
