@@ -38,7 +38,7 @@ BLENDER_PYTHON ?= python3.11
 BLENDER_ENV = build/blender-$(BLENDER)
 BLENDER_ADDON := build/decogs-blender.zip
 
-# The compiler of the player's kernel and of wheels for every platform, and what packs and checks these.
+# The compiler of the player's kernel and of wheels for every platform, and what packs, checks and tries these.
 ZIG_ENV := build/zig
 WHEELS := build/wheels
 
@@ -115,9 +115,9 @@ player-wasm: $(ZIG_ENV)/ready ## compile what is WebAssembly of that page; after
 	$(ZIG_ENV)/bin/python player/exact.py
 	$(ZIG_ENV)/bin/python player/kernel.py
 
-$(ZIG_ENV)/ready:
+$(ZIG_ENV)/ready: constraints.txt
 	$(PYTHON) -m venv $(ZIG_ENV)
-	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief packaging
+	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief packaging uv
 	@touch $@
 
 # Its unit tests are among pytest's. Without Node, or where its packages cannot be had (no network), all of them are skipped.

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.build import build
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import CompileError
 
@@ -86,7 +87,19 @@ def is_windows() -> bool:
 
 INSTRUCTION_SETS = X86_SETS if is_x86() else {"base": []}
 CODE = [] if is_windows() else ["-fPIC", "-pthread"]
-SHARED = ["-shared", *CODE, *(["-Wl,-s"] if TARGET else [])]
+SHARED = ["-shared", *CODE]
+if TARGET:
+    SHARED.append("-Wl,-s")
+elif is_windows():
+    SHARED.append("-static")  # Python looks for no other DLLs where MinGW-w64 has its own.
+
+
+class BuildAnew(build):
+    """Without what an earlier build left in the same checkout: modules that are gone would be installed again."""
+
+    def run(self) -> None:
+        shutil.rmtree(self.build_lib, ignore_errors=True)
+        super().run()
 
 
 class BuildKernels(build_ext):
@@ -205,14 +218,18 @@ def how_to_get_one() -> str:
 
 
 def compiles_kernels(command: list[str]) -> bool:
-    """Whether a compiler knows the language and the instruction sets, and finds the C++ library."""
-    with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder, "probe.cpp")
-        source.write_text("#include <optional>\nstd::optional<int> probe() { return 1; }\n")
+    """Whether a compiler knows the language and the instruction sets, and links libraries that Python can load."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        source, library = Path(folder, "probe.cpp"), f"{folder}/probe.so"
+        source.write_text("#include <new>\n#include <optional>\nstd::optional<int*> probe() { return new int; }\n")
         for flags in INSTRUCTION_SETS.values():
-            compiled = [*command, *COMMON_FLAGS, *flags, *SHARED, str(source), "-o", f"{folder}/probe.so"]
+            compiled = [*command, *COMMON_FLAGS, *flags, *SHARED, str(source), "-o", library]
             if subprocess.run(compiled, capture_output=True).returncode:
                 return False
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            return False
     return True
 
 
@@ -255,6 +272,6 @@ def kernels() -> list[Extension]:
 if __name__ == "__main__":
     setup(
         ext_modules=kernels(),
-        cmdclass={"build_ext": BuildKernels},
+        cmdclass={"build": BuildAnew, "build_ext": BuildKernels},
         options={"bdist_wheel": {"py_limited_api": "cp310"} | ({"plat_name": TARGET.tag} if TARGET else {})},
     )

@@ -16,7 +16,7 @@ def bench_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-bench``: rigs to a report of what the encoder does on them."""
     parser = bench_parser()
     given = list(sys.argv[1:] if arguments is None else arguments)
-    return run(parser, lambda: _bench(parser, parser.parse_args(given), given))
+    return run(parser, lambda: _bench(parser, parser.parse_args(given), given), extra="bench")
 
 
 def bench_parser() -> Parser:

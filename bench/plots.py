@@ -38,7 +38,7 @@ _CHARACTERS_PER_INCH, _HANDLE_CHARACTERS = 13, 8
 def require_plots() -> None:
     """Raises UsageError when the plotting library is missing: better now than after hours of training."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise UsageError("the report's plots need matplotlib: pip install matplotlib")
+        raise UsageError("the report's plots need matplotlib: pip install 'decogs[bench]'")
 
 
 def plot_quality(path: Path, runs: Mapping[str, Run]) -> None:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 def encode_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-encode``: a rig folder to a .dgs stream."""
     parser = encode_parser()
-    return run(parser, lambda: _encode_or_part(parser, parser.parse_args(arguments)), encodes=True)
+    return run(parser, lambda: _encode_or_part(parser, parser.parse_args(arguments)), extra="encode")
 
 
 def encode_parser() -> Parser:
@@ -247,7 +247,7 @@ def _add_research(group: argparse._ArgumentGroup) -> None:
 def pack_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-pack``: files of Gaussians, one a frame, to a .dgs stream."""
     parser = pack_parser()
-    return run(parser, lambda: _pack(parser, parser.parse_args(arguments)), cleans_up=True)
+    return run(parser, lambda: _pack(parser, parser.parse_args(arguments)), cleans_up=True, extra="encode")
 
 
 def pack_parser() -> Parser:
@@ -313,7 +313,7 @@ def _pack(parser: Parser, options: argparse.Namespace) -> int:
 def join_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-join``: parts that ``decogs-encode --only`` made to one .dgs stream."""
     parser = join_parser()
-    return run(parser, lambda: _join(parser.parse_args(arguments)), cleans_up=True)
+    return run(parser, lambda: _join(parser.parse_args(arguments)), cleans_up=True, extra="encode")
 
 
 def join_parser() -> Parser:

@@ -120,13 +120,13 @@ def in_option_names(option_names: Mapping[str, str]) -> Iterator[None]:
         raise
 
 
-def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = False, encodes: bool = False) -> int:
+def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = False, extra: str | None = None) -> int:
     """Runs a command and returns its exit code; an error the user can act on becomes one line on stderr.
 
     ``parser``: the command's, whose options an error then names. The command returns an exit code of its own, or None
     for 0. ``cleans_up``: SIGTERM and SIGHUP let it remove what it
-    has written by halves before they end the process; without, they do so at once. ``encodes``: it needs the libraries
-    of the extra `encode`.
+    has written by halves before they end the process; without, they do so at once. ``extra``: of the installation, the
+    one that has all that the command needs beyond the base.
     """
     program = parser.prog
     _open_standard_streams()
@@ -151,7 +151,7 @@ def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = 
             what += "; make room, or write elsewhere"
         return _say(f"{program}: error: {what}", USER_ERROR)
     except ModuleNotFoundError as error:
-        what_to_do = what_to_install(error, encodes=encodes)
+        what_to_do = what_to_install(error, whole=extra)
         if what_to_do is None:
             raise
         return _say(f"{program}: error: {what_to_do}", USER_ERROR)

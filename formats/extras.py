@@ -6,14 +6,14 @@ _BROUGHT = {"cv2": ("OpenCV", "encode"), "av": ("PyAV", "video"), "pxr": ("OpenU
 """By module: the library, and the smallest extra that has it."""
 
 
-def what_to_install(error: ModuleNotFoundError, *, encodes: bool = False) -> str | None:
+def what_to_install(error: ModuleNotFoundError, *, whole: str | None = None) -> str | None:
     """A sentence about the library that could not be imported; None where it is none of an extra's.
 
-    ``encodes``: for a command that needs all that encoding does.
+    ``whole``: the extra that has all that a command needs, where that is more than one library.
     """
     package = (error.name or "").partition(".")[0]
     if package not in _BROUGHT:
         return None
     library, extra = _BROUGHT[package]
-    extra = "encode" if encodes and extra == "video" else extra
+    extra = whole if whole and extra != "usd" else extra
     return f"this needs {library}, which is not installed: pip install 'decogs[{extra}]'"

@@ -16,6 +16,7 @@ INSTRUCTION_SETS = ("base", "avx2", "avx512")
 
 _SUFFIX = ".pyd" if sys.platform == "win32" else ".abi3.so"
 """Python's own, for libraries that suit all its versions."""
+_REMEDY = "install decogs again (in a checkout: make)"
 
 
 def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
@@ -43,14 +44,12 @@ def load_kernel(package: Path, stem: str, structs: Sequence[type[ctypes.Structur
     """The kernel library ``stem`` in folder ``package`` for this machine.
 
     ``structs``: those of its interface, in the order of its ``decogs_sizes``. UsageError when the library was never
-    built, or from other sources: it would read garbage.
+    built, for another machine, or from other sources: it would read garbage.
     """
     path = kernel_path(package, stem, best_instruction_set())
     library = _loaded(path)
     if _sizes(library, len(structs)) != [*map(ctypes.sizeof, structs), 0]:
-        raise UsageError(
-            f"{path}: the compiled kernel is of another version of decogs; install decogs again (in a checkout: make)"
-        )
+        raise UsageError(f"{path}: the compiled kernel is of another version of decogs; {_REMEDY}")
     return library
 
 
@@ -69,8 +68,12 @@ def _sizes(library: ctypes.CDLL, count: int) -> list[int]:
 
 def _loaded(path: Path) -> ctypes.CDLL:
     if not path.exists():
-        raise UsageError(f"{path}: the compiled kernel is missing; install decogs with a C++ compiler at hand")
-    return ctypes.CDLL(str(path))
+        raise UsageError(f"{path}: the compiled kernel is missing; {_REMEDY}")
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        why = str(error).removeprefix(f"{path}: ")
+        raise UsageError(f"{path}: the compiled kernel cannot be loaded ({why}); {_REMEDY}") from error
 
 
 def check_memory(status: int) -> None:

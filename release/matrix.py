@@ -2,12 +2,13 @@
 
     python release/matrix.py WHEEL FOLDER [PYTHON ...]
 
-The newest with every Python; the oldest, those that pyproject.toml begins its ranges with, with the first Python alone,
-since newer ones came after them. Environments are made in FOLDER. A line each: what passed, or what failed and why.
+The oldest are the first in the ranges of pyproject.toml that have a wheel for that Python; uv finds them.
+Environments are made in FOLDER. A line each: what passed, or what failed and why.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
@@ -16,28 +17,20 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import tomllib
-from packaging.requirements import Requirement
-
 ROOT = Path(__file__).resolve().parent.parent
 PYTHONS = ("python3.10", "python3.11", "python3.12", "python3.13", "python3.14")
+PIP_ARGS = os.environ.get("PIP_ARGS", "").split()
 TESTS = ("tests/test_installed.py", "tests/decoder/test_standalone.py", "tests/codec", "tests/conformance")
 
 
-def oldest() -> str:
-    """Constraints of pip: the first release of each range."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    lines = [*project["dependencies"], *project["optional-dependencies"]["all"]]
-    found = [Requirement(line) for line in lines]
-    return "".join(
-        f"{each.name}=={specifier.version}.*\n"
-        for each in found
-        for specifier in each.specifier
-        if specifier.operator == ">="
-    )
+def finding_oldest(python: str, constraints: Path) -> list[str]:
+    """The command that writes constraints of pip: the first release of each range with a wheel for that Python."""
+    command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--no-header", "--no-annotate", *PIP_ARGS]
+    command += ["--resolution", "lowest-direct", "--only-binary", ":all:", "--python", python, "--extra", "all"]
+    return [*command, "pyproject.toml", "-o", str(constraints)]
 
 
-def outcome(python: str, wheel: Path, folder: Path, constraints: str | None) -> str:
+def outcome(python: str, wheel: Path, folder: Path, which: str) -> str:
     """What became of it, in a line."""
     if shutil.which(python) is None:
         return "not run: is not installed"
@@ -46,16 +39,16 @@ def outcome(python: str, wheel: Path, folder: Path, constraints: str | None) -> 
     if not made:
         return f"not run: {said.strip().splitlines()[-1]}"
     within = str(folder / "bin" / "python")
-    installing = [within, "-m", "pip", "install", "--quiet", "--no-compile", "--only-binary=:all:"]
-    installing += os.environ.get("PIP_ARGS", "").split()
-    if constraints is not None:
-        (folder / "oldest.txt").write_text(constraints)
-        installing += ["-c", str(folder / "oldest.txt")]
+    installing = [within, "-m", "pip", "install", "--quiet", "--no-compile", "--only-binary=:all:", *PIP_ARGS]
+    if which == "oldest":
+        constraints = folder / "oldest.txt"
+        found, said = _said(finding_oldest(within, constraints))
+        if not found:
+            return f"not installed: {said.strip()}"
+        installing += ["-c", str(constraints)]
     installed, said = _said([*installing, f"{wheel}[all]", "pytest", "hypothesis", "packaging"])
     if not installed:
-        return (
-            f"not installed: {'; '.join(line for line in said.splitlines() if 'ERROR' in line or 'constraint' in line)}"
-        )
+        return f"not installed: {'; '.join(line for line in said.splitlines() if 'ERROR' in line)}"
     # By its script: with -m, the checkout's own decogs would come before what is installed.
     passed, said = _said([str(folder / "bin" / "pytest"), "-q", "-p", "no:cacheprovider", "-W", "default", *TESTS])
     versions = ", ".join(_versions(within))
@@ -89,9 +82,8 @@ def main() -> int:
         sys.exit("usage: python release/matrix.py WHEEL FOLDER [PYTHON ...]")
     wheel, folder, pythons = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve(), sys.argv[3:] or PYTHONS
     failed = 0
-    for python, constraints in [(pythons[0], oldest()), *((python, None) for python in pythons)]:
-        which = "newest" if constraints is None else "oldest"
-        became = outcome(python, wheel, folder / f"{Path(python).name}-{which}", constraints)
+    for python, which in itertools.product(pythons, ("oldest", "newest")):
+        became = outcome(python, wheel, folder / f"{Path(python).name}-{which}", which)
         print(f"{python}, {which}: {became}", flush=True)
         failed += "failed" in became or "error" in became or became.startswith("not installed")
     return 1 if failed else 0

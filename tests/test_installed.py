@@ -9,11 +9,14 @@ import json
 import platform
 import subprocess
 import sys
+import sysconfig
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+
+from decogs.formats.kernels import INSTRUCTION_SETS, kernel_path
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("formats", "codec", "decoder", "encoder", "bench")
@@ -29,8 +32,8 @@ def instruction_sets() -> list[str]:
     """All in the development environment; pip compiles the plain one and the widest that this machine has."""
     if is_editable():
         return ["base", "avx2", "avx512"] if platform.machine() in ("x86_64", "AMD64") else ["base"]
-    libraries = layer_folder("formats").glob("_ycbcr_*.abi3.so")
-    return sorted({"base"} | {path.name.split("_")[2].split(".")[0] for path in libraries})
+    there = [name for name in INSTRUCTION_SETS if kernel_path(layer_folder("formats"), "_ycbcr", name).exists()]
+    return there or ["base"]
 
 
 def layer_folder(layer: str) -> Path:
@@ -91,7 +94,7 @@ def test_the_player_is_installed_as_it_was_built() -> None:
 )
 def test_the_kernels_are_installed(layer: str, package: str, stem: str, function: str, instruction_set: str) -> None:
     """The wheel is built from the sdist, so this also shows that the sdist holds their sources."""
-    library = ctypes.CDLL(str(layer_folder(layer) / package / f"{stem}_{instruction_set}.abi3.so"))
+    library = ctypes.CDLL(str(kernel_path(layer_folder(layer) / package, stem, instruction_set)))
     assert hasattr(library, function)
 
 
@@ -129,8 +132,7 @@ for name in sys.argv[1:]:
 
 
 def said(command: str, *options: str) -> str:
-    # Not resolved: the commands lie beside the environment's python, which is a link.
-    script = Path(sys.executable).parent / command
+    script = Path(sysconfig.get_path("scripts")) / command
     result = subprocess.run([str(script), *options], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
     return result.stdout
@@ -160,8 +162,8 @@ def test_the_package_tells_its_version() -> None:
 @pytest.mark.skipif(is_editable(), reason="an editable installation leaves out what is no module")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_shells_and_man_find_what_they_need(command: str) -> None:
-    """They lie in share/ beside the environment's bin/."""
-    share = Path(sys.executable).parent.parent / "share"
+    """They lie in the environment's share/."""
+    share = Path(sysconfig.get_path("data")) / "share"
     for name in (
         f"man/man1/{command}.1",
         f"bash-completion/completions/{command}",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
+import shutil
 import subprocess
 import sys
 from importlib import metadata
@@ -96,15 +98,25 @@ def test_the_sample_rig_is_whole() -> None:
     assert sum(path.stat().st_size for path in rig.path.iterdir()) < 3_000_000
 
 
-def build_with(compilers: dict[str, str], folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """A build of the kernels where these are the only programs: scripts of sh by name."""
+def build_with(
+    compilers: dict[str, str], folder: Path, *, what: str = "build_ext", **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """A build of the kernels where these, scripts of sh by name, are the only programs. ``what``: the command."""
     for name, script in compilers.items():
         (folder / name).write_text(f"#!/bin/sh\n{script}\n")
         (folder / name).chmod(0o755)
     left_out = ("CC", "CXX", "DECOGS_KERNEL_CACHE")
     given = {name: value for name, value in os.environ.items() if name not in left_out}
     return subprocess.run(
-        [sys.executable, "setup.py", "build_ext", "-b", str(folder / "built"), "-t", str(folder / "objects")],
+        [
+            sys.executable,
+            "setup.py",
+            what,
+            "--build-lib",
+            str(folder / "built"),
+            "--build-temp",
+            str(folder / "objects"),
+        ],
         cwd=ROOT,
         env={**given, "PATH": str(folder), **environment},
         capture_output=True,
@@ -114,19 +126,36 @@ def build_with(compilers: dict[str, str], folder: Path, **environment: str) -> s
 
 
 # A compiler for which every library is this one.
-COPYING = f'for name; do :; done; cp {kernel_path(ROOT / "formats", "_ycbcr", "base")} "$name"'
+COPYING = f'for name; do :; done; {shutil.which("cp")} {kernel_path(ROOT / "formats", "_ycbcr", "base")} "$name"'
 
 
 @pytest.mark.parametrize(("asked", "built"), [("", {"base", best_instruction_set()}), ("all", {*INSTRUCTION_SETS})])
 def test_kernels_are_built_for_this_machine_or_for_all(asked: str, built: set[str], tmp_path: Path) -> None:
     """The plain ones always: what was installed here may be run on a lesser machine."""
-    run = build_with({"g++": COPYING}, tmp_path, DECOGS_KERNELS=asked, PATH=f"{tmp_path}:{os.environ['PATH']}")
+    run = build_with({"g++": COPYING}, tmp_path, DECOGS_KERNELS=asked)
     assert run.returncode == 0, run.stderr
     sets: dict[str, set[str]] = {}
     for library in (tmp_path / "built").rglob("*.abi3.so"):
         kernel, _, instruction_set = library.name.partition(".")[0].rpartition("_")
         sets.setdefault(kernel, set()).add(instruction_set)
     assert sets == dict.fromkeys(("_ycbcr", "_forward", "_training", "_cache"), built)
+
+
+def test_kernels_compiled_on_windows_bring_what_mingw_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python looks for DLLs neither in PATH nor in MinGW-w64's folder."""
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert "-static" in runpy.run_path(str(ROOT / "setup.py"))["SHARED"]
+
+
+def test_modules_that_are_gone_do_not_come_back(tmp_path: Path) -> None:
+    """pip builds in the checkout, where what an earlier build copied still lies."""
+    gone = tmp_path / "built" / "decogs" / "gone.py"
+    gone.parent.mkdir(parents=True)
+    gone.touch()
+    run = build_with({"g++": COPYING}, tmp_path, what="build")
+    assert run.returncode == 0, run.stderr
+    assert gone.with_name("entry.py").exists()
+    assert not gone.exists()
 
 
 TOO_OLD = 'case "$*" in *c++17*) echo "unrecognized -std=c++17" >&2; exit 1;; esac'
@@ -139,6 +168,7 @@ TOO_OLD = 'case "$*" in *c++17*) echo "unrecognized -std=c++17" >&2; exit 1;; es
         ({"gcc": "exit 0"}, {}, "a C++ compiler is missing; install g++ 11 or later"),
         ({"g++": TOO_OLD}, {}, "the C++ compiler g++"),
         ({"clang++": "exit 1"}, {}, "the C++ compiler clang++ cannot compile decogs' kernels"),
+        ({"g++": 'for name; do :; done; : > "$name"'}, {}, "the C++ compiler g++ cannot compile decogs' kernels"),
         ({"clang++": "exit 0"}, {"CXX": "mycc -m64"}, "a C++ compiler is missing: CXX names mycc -m64; install"),
     ],
 )
@@ -155,6 +185,6 @@ def test_without_a_compiler_the_build_ends_in_one_sentence(
 
 def test_the_first_compiler_that_can_is_taken(tmp_path: Path) -> None:
     """One that is too old does not keep a newer one from being found."""
-    run = build_with({"g++": TOO_OLD, "clang++": f'echo "$*" >> {tmp_path}/log'}, tmp_path)
+    run = build_with({"g++": TOO_OLD, "clang++": f'echo "$*" >> {tmp_path}/log; {COPYING}'}, tmp_path)
     compiled = (tmp_path / "log").read_text()
     assert "ycbcr.cpp" in compiled, run.stderr

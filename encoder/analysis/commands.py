@@ -21,7 +21,7 @@ _PAGE = "index.html"
 def analyze_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-analyze``: the effects of a rig, a verdict on its cameras, and what to expect of it."""
     parser = analyze_parser()
-    return run(parser, lambda: _analyze(parser, parser.parse_args(arguments)), encodes=True)
+    return run(parser, lambda: _analyze(parser, parser.parse_args(arguments)), extra="encode")
 
 
 def analyze_parser() -> Parser:

@@ -22,7 +22,7 @@ EDGES = ("auto", "top", "bottom", "left", "right")
 def calibrate_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-calibrate``: a folder of videos to a rig."""
     parser = calibrate_parser()
-    return run(parser, lambda: _calibrate(parser, parser.parse_args(arguments)), cleans_up=True, encodes=True)
+    return run(parser, lambda: _calibrate(parser, parser.parse_args(arguments)), cleans_up=True, extra="encode")
 
 
 def calibrate_parser() -> Parser:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def sync_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-sync``: a rig out of step to one that states when its cameras start."""
     parser = sync_parser()
-    return run(parser, lambda: _sync(parser, parser.parse_args(arguments)), cleans_up=True, encodes=True)
+    return run(parser, lambda: _sync(parser, parser.parse_args(arguments)), cleans_up=True, extra="encode")
 
 
 def sync_parser() -> Parser:

@@ -363,7 +363,7 @@ def test_plots_without_their_library_are_one_line(refused: Callable[..., str], m
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find(name))
     line = refused(kind="paper")
-    assert line == "decogs-bench: error: the report's plots need matplotlib: pip install matplotlib\n"
+    assert line == "decogs-bench: error: the report's plots need matplotlib: pip install 'decogs[bench]'\n"
 
 
 def test_the_plotting_library_is_loaded_for_plots_only() -> None:

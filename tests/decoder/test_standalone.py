@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -135,11 +136,26 @@ def test_without_an_extra_a_command_says_which_one(
     assert not (tmp_path / output).exists()
 
 
-def test_what_encodes_names_the_extra_that_has_all_of_it(tmp_path: Path) -> None:
-    program = "from decogs.encoder.commands import encode_main; sys.exit(encode_main())"
-    result = run(BLOCKED + program, OF_EXTRAS, str(tmp_path), "-o", str(tmp_path / "o.dgs"), "--quiet")
-    said = "decogs-encode: error: this needs PyAV, which is not installed: pip install 'decogs[encode]'"
-    assert (result.returncode, result.stderr.splitlines()) == (2, [said])
+@pytest.mark.parametrize(
+    ("command", "options", "extra"),
+    [
+        ("encode", ["{}", "-o", "{}/o.dgs", "--quiet"], "encode"),
+        ("pack", ["{}/s_####.ply", "-o", "{}/o.dgs"], "encode"),
+        ("join", ["{}/a.part", "-o", "{}/o.dgs"], "encode"),
+        ("analyze", ["{}"], "encode"),
+        ("sync", ["{}", "-o", "{}/s"], "encode"),
+        ("calibrate", ["{}", "-o", "{}/c"], "encode"),
+        ("bench", ["rates", "{}", "-o", "{}/r"], "bench"),
+    ],
+)
+def test_what_needs_much_names_the_extra_that_has_all_of_it(
+    command: str, options: list[str], extra: str, tmp_path: Path
+) -> None:
+    program = f"import decogs.entry; sys.exit(decogs.entry.{command}())"
+    given = [option.format(tmp_path) for option in options]
+    result = run(BLOCKED + program, OF_EXTRAS, *given)
+    assert result.returncode == 2
+    assert re.fullmatch(rf".*: error: this needs \w+, .*: pip install 'decogs\[{extra}\]'\n", result.stderr)
 
 
 def test_start_up_loads_nothing_heavy(small_stream) -> None:

@@ -176,6 +176,17 @@ except Exception as error:
     assert run.stderr == "", "nothing of a renderer that never came to be"
 
 
+def test_a_kernel_that_cannot_be_loaded_is_said_in_one_line(tmp_path: Path) -> None:
+    """As where an environment was copied from a machine of another kind, or lies where nothing may be run."""
+    path = kernel_path(tmp_path, "_forward", best_instruction_set())
+    path.write_bytes(b"no library")
+    with pytest.raises(UsageError) as caught:
+        load_kernel(tmp_path, "_forward", [])
+    assert str(caught.value).startswith(f"{path}: the compiled kernel cannot be loaded (")
+    assert str(caught.value).count(str(path)) == 1
+    assert str(caught.value).endswith("); install decogs again (in a checkout: make)")
+
+
 def test_a_kernel_of_other_sources_is_refused(tmp_path: Path) -> None:
     """A struct more, one less, a longer one, two changed about, and a library from before sizes were compared."""
     package, set_ = Path(native.__file__).parent, best_instruction_set()
