@@ -43,7 +43,7 @@ _WHOLE = 0.4
 """Frames from whole ones that motion alone must find a camera to be believed: rigs in step show up to .36."""
 _SCATTER = 0.65
 """Root mean square of the same, in standard errors: rigs in step show up to .58, those of which some cameras are half a
-frame late .74 and more, though none of them may be found .4 off."""
+frame late .74 and more, unless all light flickers, though none of them may be found .4 off."""
 _CONTRADICTED = 1.5
 """Frames between what two ways say of a camera from which one of them is wrong."""
 
