@@ -172,10 +172,10 @@ def test_a_subject_in_a_codec_without_alpha(subject: Path, small_stream, tmp_pat
 
 
 def assert_look_alike(one: Path, other: Path) -> None:
-    """x264 reads memory that nobody has set where it weighs macroblocks (mbtree), so that its bytes differ now and then.
+    """x264 reads memory that nobody has set where it weighs macroblocks (mbtree): its bytes differ now and then.
 
-    MALLOC_PERTURB_ shows it on any pictures, and not with mbtree=0 or no-asm=1. One level: half of what it leaves away at
-    this quality; a wrong background is off by tens of them.
+    MALLOC_PERTURB_ shows it on any pictures, and not with mbtree=0 or no-asm=1. One level: half of what it leaves away
+    at this quality; a wrong background is off by tens of them.
     """
     shown = []
     for path in (one, other):
