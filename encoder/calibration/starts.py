@@ -10,6 +10,8 @@ import numpy as np
 
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import Rig, in_step
+from decogs.formats.rigs.rig import recorded_rate
+from decogs.formats.rigs.timeline import Timeline
 
 from ..synchronisation.opening import AUTO
 from ..synchronisation.starts import find_starts_without_poses
@@ -48,4 +50,5 @@ def _without_poses(videos: Path, footage: Sequence[Footage]) -> Rig:
         for w, h in [one.size]
     ]
     sources = tuple(one.source for one in footage)
-    return Rig(videos, "videos", tuple(cameras), sources, None, min(source.frame_count for source in sources))
+    count, timeline = min(source.frame_count for source in sources), Timeline(recorded_rate(sources, None))
+    return Rig(videos, "videos", tuple(cameras), sources, None, count, timeline=timeline)

@@ -15,6 +15,8 @@ _MAX_WORN = 0.006
 
 def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> None:
     """Raises RigError where the mattes of the ``first`` frame cannot be what they should."""
+    for text in ingest.matte_warnings:
+        warn(text)
     places = [ingest.matte_place(view.camera.name, first.index) for view in ingest.views]
     matte_checks.check_mattes(places, [view.pinhole for view in ingest.views], first.alpha, warn)
     worn = int(np.argmax(first.worn)) if first.worn else 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from decogs.decoder.sound.coding import coded
 from decogs.decoder.sound.packets import FrameSound
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import FrameSource, Rig
-from decogs.formats.rigs.sources import CutSource
+from decogs.formats.rigs.timeline import RigIndex
 from decogs.formats.soundtracks import RATE, read_samples, read_sound, sound_channels, sound_title
 from decogs.formats.videos import VideoSource
 
@@ -58,7 +58,7 @@ def sound_source(
     if rig.fps is None or rig.fps < SLOWEST:
         known = "no frame rate" if rig.fps is None else f"{rig.fps:g} frames per second"
         raise UsageError(f"`audio` {audio}: {rig.path} has {known}, and sound needs at least {SLOWEST:g}")
-    cameras = {camera.name: source for camera, source in zip(rig.cameras, rig.sources, strict=True)}
+    cameras = {camera.name: rig.recording(camera.name) for camera in rig.cameras}
     if str(audio) == AUTO:
         best = _clearest(cameras)
         if best is None:
@@ -66,7 +66,7 @@ def sound_source(
             return None
         audio = best
     if str(audio) in cameras:
-        return _of_camera(str(audio), cameras[str(audio)], rig.fps, first)
+        return _of_camera(str(audio), rig, rig.fps, RigIndex(first))
     path = Path(audio)
     if not path.is_file():
         raise UsageError(f"`audio` {audio}: is no file, and no camera of {', '.join(list(cameras)[:40])}")
@@ -76,35 +76,28 @@ def sound_source(
     return SoundSource(path, SoundTrack(channels, sound_title(path)), rig.fps, first / rig.fps)
 
 
-def _of_camera(name: str, source: FrameSource, fps: float, first: int) -> SoundSource:
-    video, frame = _recording(source, first)
-    channels = None if video is None else sound_channels(video.path)
-    if video is None or channels is None:
+def _of_camera(name: str, rig: Rig, fps: float, first: RigIndex) -> SoundSource:
+    video, clock = rig.recording(name), rig.timeline.clock(name)
+    channels = sound_channels(video.path) if isinstance(video, VideoSource) else None
+    if not isinstance(video, VideoSource) or channels is None:
         raise UsageError(f"`audio` {name}: this camera has no sound; name another one, or a file")
-    if source.fps is not None and abs(source.fps - fps) > _SAME_RATE * fps:
+    if video.fps is not None and abs(video.fps / clock.step - fps) > _SAME_RATE * fps:
         raise UsageError(
-            f"`audio` {name}: it recorded {source.fps:g} frames per second, which the rig plays at {fps:g}; give a "
-            "file of that speed"
+            f"`audio` {name}: it recorded {video.fps / clock.step:g} frames per second, which the rig plays at "
+            f"{fps:g}; give a file of that speed"
         )
+    frame = clock.recorded_index(first)
     track = SoundTrack(channels, name)
     if video.times is None:
         return SoundSource(video.path, track, fps, frame / (video.fps or fps))
     return SoundSource(video.path, track, fps, picture=int(video.times[frame]))
 
 
-def _recording(source: FrameSource, frame: int) -> tuple[VideoSource | None, int]:
-    """The video and its frame that is this ``frame`` of a source; None where it is none."""
-    if isinstance(source, CutSource):
-        return _recording(source.source, source.first + frame * source.step)
-    return (source if isinstance(source, VideoSource) else None), frame
-
-
-def _clearest(cameras: dict[str, FrameSource]) -> str | None:
+def _clearest(recordings: Mapping[str, FrameSource]) -> str | None:
     """The camera whose sound is highest above its quiet moments; one that clips comes after all others."""
     found = {}
-    for name, source in cameras.items():
-        video, _ = _recording(source, 0)
-        sound = None if video is None else read_sound(video.path, _SECONDS_COMPARED)
+    for name, video in recordings.items():
+        sound = read_sound(video.path, _SECONDS_COMPARED) if isinstance(video, VideoSource) else None
         if sound is not None and len(sound.samples) >= 2 * _WINDOW:
             whole = sound.samples[: len(sound.samples) // _WINDOW * _WINDOW].astype(np.float64).reshape(-1, _WINDOW)
             energies = (whole**2).mean(axis=1)

@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RigError
+from ..frame_rates import read_rate
 from ..regular_files import open_regular
 
 _MAX_BYTES = 64 << 20
+_FASTEST = 10_000
+"""Frames per second."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,14 @@ class Fields:
                 raise self.wrong(key, "is missing")
             return default
         return self._finite(key, value)
+
+    def rate(self, key: str) -> float:
+        """Frames per second: a number, or a text such as "30000/1001". Raises RigError for what is no rate."""
+        value = self.values.get(key)
+        rate = read_rate(value) if isinstance(value, str) else self.number(key)
+        if rate is None or not 0 < rate < _FASTEST:
+            raise self.wrong(key, f"is {value!r}, not a frame rate")
+        return rate
 
     def integer(self, key: str) -> int:
         """A whole number; raises RigError when it is missing or none."""

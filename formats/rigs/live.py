@@ -276,7 +276,7 @@ class _Terms:
 
 
 def _terms(fields: Fields) -> _Terms:
-    fps, first = _positive(fields, "fps", None), fields.integer("first") if "first" in fields else 0
+    fps, first = fields.rate("fps"), fields.integer("first") if "first" in fields else 0
     if first < 0:
         raise fields.wrong("first", "is below 0")
     return _Terms(fps, first, math.ceil(_positive(fields, "queue", _QUEUE) * fps) + 1)
