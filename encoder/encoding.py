@@ -226,7 +226,7 @@ def _check_outputs(
     outputs += [Output(name, Path(path)) for name, path in logs.items() if path is not None]
     read = [(Path(job.keyframe), "is read, as `keyframe`")] if job.keyframe is not None and reads_keyframe else []
     read += [(file, "is a matte or a plate of the rig") for file in (() if mattes is None else mattes.files)]
-    read += [] if sound is None else [(sound.path, "is read, as `audio`")]
+    read += [(piece.path, "is read, as `audio`") for piece in (() if sound is None else sound.pieces)]
     check_outputs(outputs, [*files_of(rig), *read])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import chain
@@ -119,6 +119,17 @@ def read_samples(path: Path, channels: int, *, begin: float = 0.0, picture: int 
                 if samples.shape[1]:
                     tolerance, at = _JITTER, at + samples.shape[1]
                     yield samples
+
+
+def exactly(samples: Iterable[FloatArray], channels: int, count: int) -> Iterator[FloatArray]:
+    """The first ``count`` samples (channels, N) of pieces; silence where these have fewer."""
+    left = count
+    for piece in samples:
+        if left <= 0:
+            return
+        yield piece[:, :left]
+        left -= piece.shape[1]
+    yield from _silence(channels, left)
 
 
 def _silence(channels: int, count: int) -> Iterator[FloatArray]:

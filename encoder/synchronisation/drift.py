@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from decogs.formats.chapters import chapters_from
 from decogs.formats.length_units import metres_of
 from decogs.formats.rigs import Rig, in_step
 from decogs.formats.rigs.timeline import RigIndex, RigTime, Timeline
@@ -107,5 +108,6 @@ def _sound(rig: Rig, camera: str, frames: range) -> Sound | None:
     video, clock = rig.recording(camera), rig.timeline.clock(camera)
     if not isinstance(video, VideoSource) or video.fps is None:
         return None
-    begin, end = (clock.recorded_index(RigIndex(at)) / video.fps for at in (frames.start, frames.stop))
-    return read_sound(video.path, end - begin, begin)
+    begin, end = (clock.recorded_index(RigIndex(at)) for at in (frames.start, frames.stop))
+    chapters, first = chapters_from(video, begin)
+    return read_sound(chapters[0].path, (end - begin) / video.fps, first / video.fps)

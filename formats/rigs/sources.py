@@ -10,9 +10,10 @@ from typing import Protocol
 
 import numpy as np
 
+from ..chapters import continues_another, files_of_video, open_recording
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES, Picture, picture_facts, read_picture
-from ..videos import VIDEO_SUFFIXES, open_video
+from ..videos import VIDEO_SUFFIXES, VideoSource
 
 GENERIC_FOLDERS = frozenset({"images", "frames", "videos", "rgb", "input"})
 """Folder names that hold pictures but name no camera."""
@@ -210,7 +211,7 @@ def open_source(path: Path) -> FrameSource:
     if suffix in PICTURE_SUFFIXES:
         return open_pictures(path, (path,))
     try:
-        return open_video(path)
+        return open_recording(path)
     except RigError:
         if suffix not in VIDEO_SUFFIXES:
             refuse_unknown_kinds([path])
@@ -249,10 +250,19 @@ def _is_hidden(name: str) -> bool:
 
 
 def holds_frames(entry: Path) -> bool:
-    """Whether this is a video or a folder with pictures in it."""
+    """Whether this is a video, the first of its chapters, or a folder with pictures in it."""
     if entry.is_dir():
         return bool(pictures_in(entry) or pictures_in(entry / "images"))
-    return entry.suffix.lower() in VIDEO_SUFFIXES
+    return entry.suffix.lower() in VIDEO_SUFFIXES and not continues_another(entry)
+
+
+def files_of_source(source: FrameSource) -> tuple[Path, ...]:
+    """The files that are read of a camera's frames: pictures, chapters, or one video."""
+    if isinstance(source, PictureSource):
+        return source.files
+    if isinstance(source, SourceOfAnother):
+        return files_of_source(source.source)
+    return files_of_video(source) if isinstance(source, VideoSource) else (source.path,)
 
 
 def refuse_unknown_kinds(entries: Iterable[Path]) -> None:

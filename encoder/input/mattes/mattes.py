@@ -13,7 +13,7 @@ from decogs.formats.errors import RigError
 from decogs.formats.mattes import alpha_of, matte_place, matte_rig, own_alpha_rig, pictures_per_camera
 from decogs.formats.pictures import Picture, read_picture
 from decogs.formats.rigs import Rig, read_frames
-from decogs.formats.rigs.sources import PictureSource
+from decogs.formats.rigs.sources import files_of_source
 from decogs.formats.splats import FloatArray
 
 from ..filling import push_pull
@@ -137,7 +137,7 @@ def open_mattes(choice: MatteChoice | None, rig: Rig, frames: range, held_out: C
 
 def _files(given: Rig | None, *by_camera: Mapping[str, Path]) -> Iterator[Path]:
     for source in () if given is None else given.sources:
-        yield from source.files if isinstance(source, PictureSource) else (source.path,)
+        yield from files_of_source(source)
     for files in by_camera:
         yield from files.values()
 
