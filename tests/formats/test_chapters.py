@@ -56,7 +56,7 @@ def test_chapters_are_one_recording(names: list[str], tmp_path: Path, make: Any)
 def test_other_names_and_other_recordings_are_left_alone(tmp_path: Path, make: Any) -> None:
     files = chapters(tmp_path, ["GX010042.MP4", "GX020043.MP4", "cam020042.MP4"], make)
     assert open_recording(files[0]).frame_count == LENGTHS[0]
-    assert [each.name for each in open_footage(tmp_path)] == ["cam020042", "GX010042", "GX020043"]
+    assert [each.name for each in open_footage(tmp_path)] == ["GX010042", "GX020043", "cam020042"]
 
 
 def test_a_link_to_the_first_chapter_goes_on_where_that_does(tmp_path: Path, make: Any) -> None:
