@@ -34,7 +34,7 @@ from .methods import FRAME_METHODS, require_sparse
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
 from .output.observer import EncodeObserver, Observers
-from .output.reports import EncodeReport
+from .output.reports import EncodeReport, left_out_warnings
 from .output.stream_output import open_output
 from .parts.base import Base, read_base
 from .parts.encoding import encode_part
@@ -56,7 +56,8 @@ def encode(
     """Encodes a rig as a .dgs stream, or a part of one.
 
     ``progress`` observes every step and frame. ``on_warning`` is called as soon as something is found that the user
-    should know of the rig, and of a stream or keyframe that does not show its pictures.
+    should know of the rig, and of a stream or keyframe that does not show its pictures; at the end, for cameras that
+    were left out of frames.
 
     Ctrl-C after the first frame ends the stream early but whole. Raises RigError, UsageError, StreamError for a damaged
     ``keyframe``, or TrainingError; nothing is then left under the output's name.
@@ -108,6 +109,8 @@ def encode(
         else:
             report = encode_part(context, target, work.part, work.span, options, work.base, device=job.device)
         report = replace(report, held_out_sizes=ingest.held_out_sizes)
+        for text in left_out_warnings(report.frames):
+            warn(text)
         observer.finished(
             {
                 "output": str(report.output),

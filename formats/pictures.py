@@ -39,6 +39,8 @@ __all__ = [
 Picture: TypeAlias = NDArray[np.uint8] | NDArray[np.float32]
 """(H, W, 3) RGB, C-contiguous: uint8 display-referred (sRGB-coded), or float32 scene-linear."""
 
+_PNG_WITH_ALPHA = (4, 6)
+"""Colour types. Source: PNG specification, section 11.2.1."""
 _PNG_PIXELS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 
 
@@ -81,6 +83,8 @@ def read_alpha(path: Path) -> NDArray[np.float32] | None:
     header = read_header(path, data)
     if suffix == ".exr":
         return read_exr_alpha(path, data)
+    if data[25] not in _PNG_WITH_ALPHA and b"tRNS" not in data[: data.find(b"IDAT")]:
+        return None
     import cv2
 
     pixels = _decoded(path, _checked_png(path, data), header, cv2.IMREAD_UNCHANGED)

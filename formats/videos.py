@@ -2,7 +2,8 @@
 
 Opening lists the container's packets, which gives the frame count and every time without decoding. Then it decodes the
 first frame, one at some keyframes, and those from the last keyframe on: what no decoder shows, a stream that ends early
-and frames flagged interlaced are found before training starts. What is found later stops the reading, with the frame.
+and frames flagged interlaced are found before training starts. What is found later stops the reading, with the frame;
+after damage reading can begin again at the next keyframe.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import errno
 import os
 import struct
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,7 +73,8 @@ class VideoSource:
 
     Width and height in pixels, as shown; fps None if the file does not say. ``times``: presentation time of every frame
     in the track's own unit, (frame_count,) int64, or None if the container has no usable times; ``keyframes``: those of
-    frames that decoding can begin with. ``turn``: see ``_turn``. ``warnings``: what shows in its pictures.
+    frames that decoding can begin with, their numbers where there are no times. ``turn``: see ``_turn``. ``warnings``:
+    what shows in its pictures.
     """
 
     path: Path
@@ -90,7 +92,7 @@ class VideoSource:
         """Every step-th frame from start (inclusive) to stop (exclusive), RGB uint8; others are passed over.
 
         A far start is sought. Raises RigError if the video ends early, drops a frame, changes its size, or has a frame
-        that is interlaced or damaged.
+        that is interlaced, damaged, or predicted from a damaged one.
         """
         with closing(self._frames_from(start)) as frames:
             for index in range(start, stop):
@@ -100,20 +102,39 @@ class VideoSource:
                 if (index - start) % step == 0:
                     yield self.picture(frame, index)
 
+    def readable_after(self, index: int) -> int:
+        """The first frame after a damaged one that is not predicted from it: the next keyframe."""
+        if self.times is None:
+            later = self.keyframes[self.keyframes > index]
+        else:
+            later = np.searchsorted(self.times, self.keyframes[self.keyframes > self.times[index]])
+        return int(later[0]) if later.size else self.frame_count
+
     def _frames_from(self, start: int) -> Generator[VideoFrame, None, None]:
         """The decoded frames from ``start`` on, each by its own time."""
         for begin in self._beginnings(start):
-            following = start
+            following, before = start, None
+            damage: RigError | None = None
             with opened_video(self.path) as (container, stream):
                 if begin is not None and not _seek(container, stream, begin):
                     continue
-                for position, frame in enumerate(_decoded(self.path, container, stream)):
+                frames = _decoded(self.path, container, stream, passes_errors=self.times is not None)
+                for position, frame in enumerate(frames):
                     index = position if self.times is None else self._index_of(frame, following)
                     if index > following and begin is not None and following == start:
                         break  # what was sought lies further on
                     if index > following:
                         raise _missing(self.path, following)
+                    if frame.is_corrupt or before not in (None, index - 1):
+                        damage = _damaged(self.path, index)
+                    elif frame.key_frame:
+                        damage = None
+                    before = index
                     if index == following:
+                        if damage is not None and begin is not None and following == start:
+                            break  # of the video, or only of pictures that need what lies before what was sought
+                        if damage is not None:
+                            raise damage
                         yield frame
                         following += 1
             if following > start:
@@ -146,7 +167,9 @@ class VideoSource:
 
     def picture(self, frame: VideoFrame, index: int) -> NDArray[np.uint8]:
         """A decoded frame as it is shown. Raises RigError for one that is interlaced, damaged or of another size."""
-        _check_frame(self.path, frame, index, (self.width, self.height) if self.turn[0] else (self.height, self.width))
+        _check_kind(self.path, frame, index, (self.width, self.height) if self.turn[0] else (self.height, self.width))
+        if frame.is_corrupt:
+            raise _damaged(self.path, index)
         try:
             return _turned(to_rgb(frame, self.siting), self.turn)
         except (ValueError, av.FFmpegError) as error:
@@ -194,12 +217,14 @@ def open_video(path: Path) -> VideoSource:
         if times is not None:
             _check_constant_rate(path, times * (1000 * listing.unit))
         fps = _rate(listing.stated_fps, None if times is None else times * listing.unit)
+        keyframes = listing.keyframes
         if times is None or listing.in_coded_order:
-            times, count = None, _count(path, first)
+            times = None
+            count, keyframes = _count(path, first)
         else:
             count = times.size
-            _look_through(path, container, stream, times, listing.keyframes, first)
-        video = replace(shown_as(path, first), frame_count=count, fps=fps, times=times, keyframes=listing.keyframes)
+            _look_through(path, container, stream, times, keyframes, first)
+        video = replace(shown_as(path, first), frame_count=count, fps=fps, times=times, keyframes=keyframes)
         video.picture(first, 0)
     return replace(video, warnings=(_warning(colours),) if colours else ())
 
@@ -279,15 +304,17 @@ def _list_packets(path: Path) -> _Listing:
     with opened_video(path) as (container, stream):
         try:
             found = []
+            is_cut = False
             for packet in container.demux(stream):
-                if packet.is_corrupt:
-                    raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
                 if packet.size and not packet.is_discard:
                     found.append((packet.pts, packet.dts, packet.is_keyframe))
+                    is_cut = packet.is_corrupt
                 if len(found) > most:
                     raise RigError(f"{path}: the video claims more than {most} frames; re-encode the video")
         except av.FFmpegError as error:
             raise _undecodable(path, "its packets", error) from None
+        if is_cut:
+            raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
         # Without times of presentation FFmpeg fills in those of decoding, in AVI a little later ones.
         guessed = container.format.name == "avi" or all(shown == decoded for shown, decoded, _ in found)
         reorders = stream.codec_context.has_b_frames
@@ -310,43 +337,53 @@ def _look_through(
     keyframes: NDArray[np.int64],
     first: VideoFrame,
 ) -> None:
-    """Decodes a frame at some keyframes, and all from the last keyframe on where those are few."""
+    """Decodes a frame at some keyframes, and all from the last keyframe on where those are few.
+
+    Damage to single frames is left to whoever reads them.
+    """
     shown = keyframes[keyframes >= times[0]]
     if not shown.size:
         return
     for begin in shown[:: max(1, shown.size // _KEYFRAMES_SEEN)].tolist():
         if not _seek(container, stream, begin):
             return
-        frame = next(_decoded(path, container, stream), None)
+        frame = next(_decoded(path, container, stream, passes_errors=True), None)
         if frame is not None and frame.pts is not None:
-            _check_frame(path, frame, int(np.searchsorted(times, frame.pts)), (first.width, first.height))
+            _check_kind(path, frame, int(np.searchsorted(times, frame.pts)), (first.width, first.height))
     last = int(shown[-1])
     if (times >= last).sum() * stream.width * stream.height > _PIXELS_SEEN or not _seek(container, stream, last):
         return
     index = None
-    for frame in _decoded(path, container, stream):
+    for frame in _decoded(path, container, stream, passes_errors=True):
         if frame.pts is None or frame.pts < last:
             continue
-        # Pictures that need what lies before the keyframe may not be shown after a seek.
-        index = int(np.searchsorted(times, frame.pts)) if index is None else index + 1
-        _check_frame(path, frame, index, (first.width, first.height))
+        index = int(np.searchsorted(times, frame.pts))
+        _check_kind(path, frame, index, (first.width, first.height))
     if index is not None and index + 1 < times.size:
         raise _ended(path, index + 1, times.size)
 
 
-def _count(path: Path, first: VideoFrame) -> int:
-    """Frames of a video whose times do not tell them apart."""
-    count = 0
+def _count(path: Path, first: VideoFrame) -> tuple[int, NDArray[np.int64]]:
+    """Frames of a video whose times do not tell them apart, and the numbers of those that decoding can begin with."""
+    count, keyframes = 0, []
     with opened_video(path) as (container, stream):
         for frame in _decoded(path, container, stream):
-            _check_frame(path, frame, count, (first.width, first.height))
+            _check_kind(path, frame, count, (first.width, first.height))
+            if frame.key_frame and not frame.is_corrupt:
+                keyframes.append(count)
             count += 1
-    return count
+    return count, np.array(keyframes, np.int64)
 
 
-def _decoded(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
+def _decoded(
+    path: Path, container: InputContainer, stream: VideoStream, *, passes_errors: bool = False
+) -> Iterator[VideoFrame]:
+    """The frames as they are shown; ``passes_errors``: without those that cannot be decoded."""
+    passed = [av.InvalidDataError] if passes_errors else []
     try:
-        yield from container.decode(stream)
+        for packet in container.demux(stream):
+            with suppress(*passed):
+                yield from packet.decode()
     except av.FFmpegError as error:
         raise _undecodable(path, f"a frame of it ({stream.codec_context.name})", error) from None
 
@@ -360,15 +397,13 @@ def _seek(container: InputContainer, stream: VideoStream, time: int) -> bool:
     return True
 
 
-def _check_frame(path: Path, frame: VideoFrame, index: int, size: tuple[int, int]) -> None:
-    """Raises RigError for a frame that is interlaced, damaged, or not of this width and height, as coded."""
+def _check_kind(path: Path, frame: VideoFrame, index: int, size: tuple[int, int]) -> None:
+    """Raises RigError for a frame that is interlaced, or not of this width and height, as coded."""
     if frame.interlaced_frame:
         raise RigError(
             f"{path}: frame {index} is flagged interlaced; deinterlace the video (ffmpeg -vf bwdif), or, where its "
             "pictures are whole, take the flag away (ffmpeg -vf setfield=prog)"
         )
-    if frame.is_corrupt:
-        raise RigError(f"{path}: frame {index} is damaged; re-encode the video")
     if (frame.width, frame.height) != size:
         raise RigError(
             f"{path}: frame {index} is {frame.width} x {frame.height} pixels, the video started with {size[0]} x "
@@ -422,6 +457,10 @@ def _ended(path: Path, index: int, announced: int) -> RigError:
         f"{path}: the video ends or is damaged at frame {index} although it announces {announced} frames; re-encode "
         f"it, or stop before frame {index}"
     )
+
+
+def _damaged(path: Path, index: int) -> RigError:
+    return RigError(f"{path}: frame {index} is damaged; re-encode the video")
 
 
 def _missing(path: Path, index: int) -> RigError:

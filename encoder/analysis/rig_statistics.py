@@ -7,8 +7,8 @@ MAX_BYTES. Of a longer clip every n-th frame is analysed; the others are skipped
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import cv2
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from decogs.decoder.lens import Undistortion
 from decogs.formats.callbacks import OnProgress
 from decogs.formats.cameras import Camera, scale_camera
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import RigError, UsageError
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, read_frames
 
@@ -96,14 +96,23 @@ def gather_statistics(
     """Measures the frames (default: all) of every camera except the held-out ones.
 
     The result does not depend on ``threads`` (0: all processors). ``on_step`` is called with steps done and in all.
-    Raises UsageError for cameras or frames the rig does not have, RigError while reading.
+    Raises UsageError for cameras or frames the rig does not have, RigError for a first frame that cannot be read. A
+    later picture that cannot be read counts as a repeat of the one before.
     """
     cameras, scales = _small_cameras(rig, holdout)
     span = range(rig.frame_count) if frames is None else frames
     chosen = _thin(span, cameras)
     steps = _Steps(len(chosen) + 2 * len(cameras), on_step)
+    names, missing = [camera.name for camera in cameras], np.zeros((len(cameras), len(chosen)), bool)
+
+    def lose(index: int, name: str, error: RigError) -> None:
+        if index == chosen[0]:
+            raise error
+        missing[names.index(name), chosen.index(index)] = True
+
     with side_by_side(threads) as each:
-        recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
+        read = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=names, on_lost=lose)
+        recorded = _repeated(read, missing)
         pictures, noise, details = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
         matches = find_matches(cameras, [own[0] for own in pictures], each)
         backdrop = _backdrop(cameras, [own[0] for own in pictures])
@@ -112,7 +121,8 @@ def gather_statistics(
         lights = [steps.count(found) for found in each(light_at, pictures, pixels)]
         light = own_light(points, lights, list(each(light_overall, pictures)))
         paths = [steps.count(path) for path in each(camera_path, pictures)]
-        recordings = find_lost(pictures, chosen.step)
+        found = find_lost(pictures, chosen.step)
+        recordings = replace(found, repeats=found.repeats | missing)
         moving = tuple(each(moves_through, cameras, pictures, paths))
     return RigStatistics(
         cameras,
@@ -130,6 +140,16 @@ def gather_statistics(
         moving,
         backdrop,
     )
+
+
+def _repeated(
+    frames: Iterable[tuple[int, list[Picture]]], missing: NDArray[np.bool_]
+) -> Iterator[tuple[int, list[Picture]]]:
+    """The frames with the pictures before in place of those ``missing`` (cameras, F)."""
+    before: list[Picture] = []
+    for column, (index, pictures) in enumerate(frames):
+        before = [before[row] if missing[row, column] else now for row, now in enumerate(pictures)]
+        yield index, before
 
 
 def _backdrop(cameras: Sequence[Camera], pictures: Sequence[U8]) -> BackdropStage | None:

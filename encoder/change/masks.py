@@ -6,7 +6,7 @@ and the focus region is the max-pool of M with radius r.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -177,9 +177,14 @@ class MaskMemory:
         )
 
     def pixel_changes(
-        self, pictures: Sequence[FloatArray], settings: MaskSettings, threads: int = 1
+        self,
+        pictures: Sequence[FloatArray],
+        settings: MaskSettings,
+        threads: int = 1,
+        *,
+        lost: Mapping[int, str] | None = None,
     ) -> list[PixelChange]:
-        """Where every view's picture changed.
+        """Where every view's picture changed; ``lost``: why views, by number, have none of this frame.
 
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
@@ -192,8 +197,8 @@ class MaskMemory:
         views = list(zip(pictures, self.references, strict=True))
         with side_by_side(threads) as each:
             changes = list(each(lambda view: change(*view), views))
-        reasons = self._dropouts(pictures, changes)
-        return [replace(change, lost=why) for change, why in zip(changes, reasons, strict=True)]
+        reasons = dict(enumerate(self._dropouts(pictures, changes))) | dict(lost or {})
+        return [replace(change, lost=reasons[view]) for view, change in enumerate(changes)]
 
     def masks(
         self, pictures: Sequence[FloatArray], changes: Sequence[PixelChange], settings: MaskSettings, threads: int = 1

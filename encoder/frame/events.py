@@ -64,13 +64,15 @@ class Event:
 def what_happened(context: Context, scene: Scene, memory: Memory, frame: PendingFrame, watch: Stopwatch) -> Event:
     """What a frame shows, and the scene that it goes on from: the one before a flash, once that is over."""
     settings = context.settings
+    lost = frame.recorded.lost_views(context.ingest.views)
     if context.method.dense:
-        return Event(Kind.EVERYTHING, scene, memory, [])
+        kind = Kind.NOTHING if len(lost) == len(frame.pictures) else Kind.EVERYTHING
+        return Event(kind, scene, memory, [])
     with watch.stage("masks"):
         scene, memory, is_return = _after_flash(scene, memory, frame, context)
         if not settings.frame_effects:
             return Event(Kind.NOTHING, scene, memory, [], is_return)
-        changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads)
+        changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads, lost=lost)
         kind = Kind.CHANGE
         if is_missed(memory.masks, frame.pictures, context.views.pictures(scene.splats), changes):
             kind = Kind.EVERYTHING

@@ -81,7 +81,8 @@ class BaselineTrainer:
         scene, pictures = frame.scene, frame.pictures
         self._on_loss = frame.stopping.on_loss
         self._random = np.random.default_rng((self._seed, frame.index))
-        self._order = view_order(len(self._views), self._random)
+        shown = [view for view in range(len(self._views)) if view not in frame.lost]
+        self._order = (shown[place] for place in view_order(len(shown), self._random))
         losses = [
             whole_picture_loss(picture, view.valid, DISSIMILARITY)
             for picture, view in zip(pictures, self._views, strict=True)

@@ -6,7 +6,7 @@ keyframe, the views, the rasteriser and the lattice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -62,7 +62,8 @@ class FrameInput:
     them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view,
     colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
     displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``free``: the frame's
-    empty space, where it is known.
+    empty space, where it is known. ``lost``: views, by number, that have no picture of this frame; what is in its place
+    must not teach. Masks say so as well.
     """
 
     index: int
@@ -75,6 +76,7 @@ class FrameInput:
     settings: FrameSettings
     stopping: StoppingRule = WHOLE
     free: FreeSpace | None = None
+    lost: Collection[int] = ()
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,8 @@ class FrameTrainer(Protocol):
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains one frame.
 
-        The static views show ``frame.scene``, and its selected Gaussians are detached in them. Views whose masks are
-        ``lost`` have no part in it.
+        The static views show ``frame.scene``, and its selected Gaussians are detached in them. Views that are ``lost``
+        have no part in it.
         """
         ...
 

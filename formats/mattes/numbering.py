@@ -30,13 +30,18 @@ class _Reading:
         """Whether each of these frames has a file."""
         return all(frame in self.files for frame in frames)
 
+    def has_most(self, frames: range) -> bool:
+        """Whether the first and the last of these frames have a file, and most between them: others were lost."""
+        there = [frame in self.files for frame in frames]
+        return there[0] and there[-1] and 2 * sum(there) > len(there)
+
 
 def mattes_of_recording(
     folder: Path, files: Sequence[Path], recording: FrameSource, clock: CameraClock, count: int, frames: range
 ) -> tuple[Path, ...]:
-    """The files in the order of the rig's ``count`` frames, those of ``frames`` sure to be there.
+    """The files in the order of the rig's ``count`` frames; most of ``frames`` are there, and the first and the last.
 
-    A path that is no file stands where there is none. Raises RigError for files that fit no frames, or two ways.
+    An empty path stands where there is none. Raises RigError for files that fit no frames, or two ways.
     """
     recorded = [clock.recorded_index(RigIndex(frame)) for frame in range(count)]
     readings = list(_by_names(files, recording, recorded)) or [
@@ -46,7 +51,7 @@ def mattes_of_recording(
         *_in_order("are taken in order", files, count, range(count)),
         *_in_order("are taken in order", files, recording.frame_count, recorded),
     ]
-    return _chosen(folder, files, readings, count, frames)
+    return _chosen(folder, files, readings, count, frames, may_lack=True)
 
 
 def mattes_of_stream(folder: Path, files: Sequence[Path], first: int, count: int, frames: range) -> tuple[Path, ...]:
@@ -111,7 +116,13 @@ def _numbers(files: Sequence[Path]) -> _Numbers | None:
 
 
 def _chosen(
-    folder: Path, files: Sequence[Path], readings: Sequence[_Reading], count: int, frames: range
+    folder: Path,
+    files: Sequence[Path],
+    readings: Sequence[_Reading],
+    count: int,
+    frames: range,
+    *,
+    may_lack: bool = False,
 ) -> tuple[Path, ...]:
     if not files:
         raise RigError(f"{folder}: no matte of frame {frames.start}; give one for every frame, such as 0000.png")
@@ -121,6 +132,8 @@ def _chosen(
             f"camera's pictures nor {count} frames from 0 on; give them the names of the pictures"
         )
     fitting = [reading for reading in readings if reading.has(frames)]
+    if not fitting and may_lack:
+        fitting = [reading for reading in readings if reading.has_most(frames)]
     if not fitting:
         most = max(readings, key=lambda reading: sum(frame in reading.files for frame in frames))
         lacking = next(frame for frame in frames if frame not in most.files)
@@ -128,7 +141,7 @@ def _chosen(
     fitting = [reading for reading in fitting if reading.is_whole] or fitting
     best = fitting[0]
     for other in fitting[1:]:
-        if any(best.files[frame] != other.files[frame] for frame in frames):
+        if any(best.files.get(frame) != other.files.get(frame) for frame in frames):
             raise RigError(
                 f"{folder}: it is not sure which frame a matte is of: frame {frames.start} is {_of(best, frames)}, or "
                 f"{_of(other, frames)}; give them the names of the pictures"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Generator, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -68,27 +69,55 @@ def alpha_of(matte: Picture) -> Alpha:
     return np.asarray(plane / np.float32(255) if plane.dtype == np.uint8 else np.clip(plane, 0, 1), np.float32)
 
 
-def own_alpha_rig(rig: Rig, names: Collection[str], frame: int) -> Rig | None:
+def own_alpha_rig(rig: Rig, names: Collection[str], frames: range) -> Rig | None:
     """The cameras of ``rig`` whose pictures have alpha, with this as their frames: grey pictures.
 
-    None where alpha is 1 throughout the ``frame``. Raises RigError where one of the cameras ``names`` has none.
+    None where alpha is 1 throughout the ``frames``. Of the first and the last frame every camera is looked at, of those
+    between one camera in turn, until one is transparent somewhere: opaque pictures with alpha cost a decoded picture a
+    frame. Raises RigError where a first frame is opaque that others are not like, and where one of the cameras
+    ``names`` has no alpha.
     """
-    found, is_clear = list[tuple[Camera, FrameSource]](), False
-    for camera, source in zip(rig.cameras, rig.sources, strict=True):
-        alpha = read_alpha(source.files[frame]) if isinstance(source, PictureSource) else None
-        if alpha is not None:
-            found.append((camera, _OwnAlpha(**vars(source))))
-            is_clear |= camera.name in names and float(alpha.min()) < _OPAQUE
-    if not is_clear:
+    sources = {
+        camera.name: source
+        for camera, source in zip(rig.cameras, rig.sources, strict=True)
+        if isinstance(source, PictureSource)
+    }
+    first, last = frames[0], frames[-1]
+    opening = {name: read_alpha(source.files[first]) for name, source in sources.items()}
+    ending = {name: _alpha_if_read(source.files[last]) for name, source in sources.items()}
+    having = [name for name in sources if opening[name] is not None or ending[name] is not None]
+    asked = [name for name in having if name in names]
+    if not asked:
         return None
-    having = [camera.name for camera, _ in found]
+    if not any(_is_clear(opening[name]) for name in asked):
+        in_turn = ((frame, _alpha_if_read(sources[asked[frame % len(asked)]].files[frame])) for frame in frames[1:-1])
+        at_end = ((last, ending[name]) for name in asked)
+        later = next((frame for frame, alpha in chain(at_end, in_turn) if _is_clear(alpha)), None)
+        if later is None:
+            return None
+        raise RigError(
+            f"{rig.path}: the pictures are opaque in frame {first} and cut-outs in frame {later}; begin where all are "
+            "cut out (`frames`), or do without their alpha (`own_masks`)"
+        )
     for name in names:
         if name not in having:
             raise RigError(
                 f"{rig.path}: the pictures of camera {name} have no alpha, those of {having[0]} have; give all of them "
                 "alpha, or do without (`own_masks`)"
             )
-    return _with(rig, found)
+    pairs = zip(rig.cameras, rig.sources, strict=True)
+    return _with(rig, [(camera, _OwnAlpha(**vars(source))) for camera, source in pairs if camera.name in having])
+
+
+def _alpha_if_read(file: Path) -> Alpha | None:
+    try:
+        return read_alpha(file)
+    except RigError:
+        return None  # of that frame its camera is lost
+
+
+def _is_clear(alpha: Alpha | None) -> bool:
+    return alpha is not None and float(alpha.min()) < _OPAQUE
 
 
 def _with(rig: Rig, found: Sequence[tuple[Camera, FrameSource]]) -> Rig:
@@ -101,6 +130,8 @@ class _Mattes(PictureSource):
 
     def read_file(self, file: Path) -> Picture:
         """The matte, grey, three times (H, W, 3); 8 bit or float."""
+        if file == Path():
+            raise RigError(f"{self.path}: no matte of this frame; give one for every frame, such as 0000.png")
         alpha = read_alpha(file)
         matte = read_picture(file) if alpha is None or alpha.min() >= _OPAQUE else _grey(alpha)
         height, width = matte.shape[:2]

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from .live import dropped_in as dropped_in
     from .live import open_live as open_live
     from .live import stop_waiting as stop_waiting
+    from .opening import OnLost as OnLost
     from .opening import files_of as files_of
     from .opening import files_with as files_with
     from .opening import open_recordings as open_recordings
@@ -24,6 +25,7 @@ _HOMES = {
     "dropped_in": "live",
     "open_live": "live",
     "stop_waiting": "live",
+    "OnLost": "opening",
     "files_of": "opening",
     "files_with": "opening",
     "open_recordings": "opening",

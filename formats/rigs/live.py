@@ -108,13 +108,17 @@ class LiveSource:
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """The pictures of these frames, each when it is whole. Raises RecordingEnded after the last one.
 
-        The camera is followed from now on, before the first is asked for.
-        RigError where the first does not come, or one has another size.
+        The camera is followed from now on, before the first is asked for. RigError where the first does not come, or
+        has another size.
         """
         name = self.camera.name
         self.recording.ended.discard(name)
         feed = self.recording.feeds[name] = self.recording.opened[name](self.camera)
         return self._pictures(_Follower(self, feed), range(start, stop, step))
+
+    def readable_after(self, index: int) -> int:
+        """The next one, though only the first is not given: for a later one there is the one before."""
+        return index + 1
 
     def _pictures(self, follower: _Follower, frames: range) -> Generator[Picture, None, None]:
         try:
@@ -136,13 +140,20 @@ class _Follower:
         """The picture of a frame, or the one before it where the camera has dropped the frame."""
         if self._lacking and self.feed.reached(self._lacking[-1]):
             self._lacking.clear()
-        picture = self._awaited(frame)
+        try:
+            picture, why = self._awaited(frame), ""
+        except RecordingEnded:
+            raise
+        except RigError as error:
+            if self._last is None:
+                raise
+            picture, why = None, str(error)
         if picture is not None:
             self._last = picture
             self._lacking.clear()
             return picture
         assert self._last is not None
-        self._recording.note(frame, self._source.camera.name, self.feed.why(frame))
+        self._recording.note(frame, self._source.camera.name, why or self.feed.why(frame))
         self._lacking = [*self._lacking, frame][-_DEAD_AFTER:]
         return self._last
 

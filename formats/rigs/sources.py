@@ -67,6 +67,10 @@ class FrameSource(Protocol):
         """Every step-th frame from start (inclusive) to stop (exclusive). Raises RigError naming file and frame."""
         ...
 
+    def readable_after(self, index: int) -> int:
+        """The first frame after ``index`` from which reading can go on where that one cannot be had."""
+        ...
+
 
 @dataclass(frozen=True)
 class PictureSource:
@@ -105,6 +109,10 @@ class PictureSource:
                     f"{self.width} x {self.height}; bring all its frames to one size"
                 )
             yield picture
+
+    def readable_after(self, index: int) -> int:
+        """The next one: each picture has a file of its own."""
+        return index + 1
 
     def read_file(self, file: Path) -> Picture:
         """The picture in one file, as stored."""
@@ -159,6 +167,10 @@ class SourceOfAnother:
         """Those of the whole source."""
         return self.source.warnings
 
+    def readable_after(self, index: int) -> int:
+        """The next one, which is read anew."""
+        return index + 1
+
 
 @dataclass(frozen=True)
 class CutSource(SourceOfAnother):
@@ -177,6 +189,11 @@ class CutSource(SourceOfAnother):
         """As of any source; errors name the frames of the whole source."""
         last = self.first + (stop - 1) * self.step
         yield from self.source.read(self.first + start * self.step, last + 1, step * self.step)
+
+    def readable_after(self, index: int) -> int:
+        """As of the whole source."""
+        whole = self.source.readable_after(self.first + index * self.step)
+        return -((self.first - whole) // self.step)
 
 
 class ListedPictures(PictureSource):

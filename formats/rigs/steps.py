@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import RigError
+from .gaps import with_gaps
 from .rig import Rig, more, usual, with_rates
 from .sources import CutSource, FrameSource, PictureSource
 from .timeline import CameraClock, RecordedIndex, RigTime
@@ -34,11 +35,13 @@ def in_step(rig: Rig, starts: Mapping[str, RigTime]) -> Rig:
     Without any, all recordings must have the same frames. Raises RigError for what differs and cannot be brought in
     step, and where there is no common span.
     """
+    rig = replace(rig, sources=with_gaps(rig.sources))
     if not starts:
         rate = rig.fps if rig.fps is not None else _one_rate(rig.sources)
         _check_frame_counts(rig.sources)
         _check_frame_numbers(rig.sources)
-        return replace(rig, fps=rate, warnings=(*_odd_rates(rig.sources), *rig.warnings))
+        count = rig.sources[0].frame_count
+        return replace(rig, fps=rate, frame_count=count, warnings=(*_odd_rates(rig.sources), *rig.warnings))
     steps = steps_of(rig)
     named = {camera.name: starts.get(camera.name) for camera in rig.cameras}
     known = [start for start in named.values() if start is not None]

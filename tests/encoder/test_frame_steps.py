@@ -141,6 +141,7 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
         settings=replace(DRAFT, segment=3, closed=True, catch_up=4),
         method=Stub(dense=True),
         views=Stub(update=lambda *_: None),
+        ingest=Stub(views=[]),
         stopping=lambda deadline: None,
     )
     event = Event(Kind.EVERYTHING, scene(1), memory_of(trainer=trainer), [])

@@ -79,7 +79,8 @@ def test_numbers_tell_the_frame(
             "0000.png to 0010.png, fit neither",
         ),
         (None, [0, 1, 2, 3, 4, 6, 7, 8, 9, 10], range(10), "fit neither"),
-        (FROM_0, [0, 1, 2, 3, 4, 6, 7, 8, 9], range(10), "no matte of frame 5; give one for every frame"),
+        (FROM_0, [0, 1, 2, 3, 4, 5, 6, 7, 8], range(10), "no matte of frame 9; give one for every frame"),
+        (FROM_0, [0, 9], range(10), "no matte of frame 1; give one for every frame"),
         (FROM_1, range(11), range(10), "fit neither"),  # one too many, at which end?
         (FROM_1, range(1, 7), range(1, 5), "not sure .*: frame 1 is 0002.png if they have the numbers of its pictures"),
         (FROM_0, [], range(10), "no matte of frame 0"),
@@ -90,6 +91,12 @@ def test_what_is_not_sure_is_refused(
 ) -> None:
     with pytest.raises(RigError, match=message):
         numbers_of(given, recording(own), frames)
+
+
+def test_a_matte_that_is_missing_in_between_moves_no_other() -> None:
+    given = files([0, 1, 2, 3, 4, 6, 7, 8, 9])
+    found = mattes_of_recording(MASKS, given, recording(FROM_0), CameraClock(), 10, range(10))
+    assert [file.stem for file in found[4:7]] == ["0004", "", "0006"]
 
 
 def test_the_names_of_the_pictures_are_sure() -> None:

@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 
 from decogs.formats import videos
+from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
-from decogs.formats.rigs import open_rig, read_frames
+from decogs.formats.rigs import Rig, open_rig, read_frames
 from decogs.formats.video_colours import to_rgb
 from decogs.formats.videos import VideoSource, open_video
 
@@ -76,8 +77,8 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     log: list[int] = []
     real = videos._decoded
 
-    def logged(*arguments: Any) -> Iterator[Any]:
-        for frame in real(*arguments):
+    def logged(*arguments: Any, **options: Any) -> Iterator[Any]:
+        for frame in real(*arguments, **options):
             log.append(1)
             yield frame
 
@@ -202,6 +203,39 @@ def test_a_frame_dropped_by_the_decoder_is_named(tmp_path: Path, make: Any) -> N
     assert [next(reader).shape for _ in range(3)] == [(48, 64, 3)] * 3
     with pytest.raises(RigError, match=r"a\.mp4: frame 3 is damaged or missing"):
         list(reader)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "a.avi"])
+def test_damage_costs_the_frames_up_to_the_next_keyframe(tmp_path: Path, name: str) -> None:
+    """Wherever reading starts: what is predicted from a damaged frame is damaged; a rig reads the others."""
+    write(tmp_path / name, "mpeg4", frames=12, options={"g": "5", "b": "4M"})
+    whole = list(open_video(tmp_path / name).read(0, 12))
+    damage_packet(tmp_path / name, 6)
+    source = open_video(tmp_path / name)
+    assert source.frame_count == 12
+    for start in (0, 5, 6, 7, 9, 10, 11):
+        for index, picture in read_what_can_be(source, start).items():
+            np.testing.assert_array_equal(picture, whole[index])
+    assert list(read_what_can_be(source, 0)) == [0, 1, 2, 3, 4, 5, 10, 11]
+    assert list(read_what_can_be(source, 8)) == [10, 11]
+
+
+def damage_packet(path: Path, index: int) -> None:
+    with av.open(str(path)) as container:
+        data = [bytes(packet) for packet in container.demux(video=0) if packet.size][index]
+    whole = path.read_bytes()
+    middle = data[len(data) // 3 : len(data) // 3 + 60]
+    assert whole.count(middle) == 1
+    path.write_bytes(whole.replace(middle, b"U" * len(middle)))
+
+
+def read_what_can_be(source: VideoSource, start: int) -> dict[int, np.ndarray]:
+    """The frames from ``start`` on as a rig reads them, without those that are lost."""
+    camera = Camera("a", source.width, source.height, 50, 50, 32, 24, np.eye(4))
+    rig = Rig(source.path, "one", (camera,), (source,), None, source.frame_count)
+    lost: list[int] = []
+    frames = read_frames(rig, start, on_lost=lambda index, name, error: lost.append(index))
+    return {index: picture for index, (picture,) in frames if index not in lost}
 
 
 def test_early_end_names_file_and_frame(tmp_path: Path, make: Any) -> None:

@@ -317,7 +317,7 @@ def test_a_pixel_that_is_no_number_is_refused_by_file(moving: Any, tmp_path: Pat
         (rig / name).mkdir(parents=True)
         for frame in range(2):
             pixels = np.full((48, 64, 3), 0.25, np.float32)
-            if (name, frame) == ("cam01", 1):
+            if (name, frame) == ("cam01", 0):
                 pixels[20, 30, 1] = bad
             OpenEXR.File({"compression": OpenEXR.NO_COMPRESSION}, {"RGB": pixels}).write(
                 str(rig / name / f"{frame:04d}.exr")
@@ -325,7 +325,7 @@ def test_a_pixel_that_is_no_number_is_refused_by_file(moving: Any, tmp_path: Pat
     document = json.loads((moving[0] / "rig.json").read_text())
     document["cameras"] = document["cameras"][:2]
     (rig / "rig.json").write_text(json.dumps(document))
-    with pytest.raises(RigError, match=r"cam01/0001\.exr") as raised:
+    with pytest.raises(RigError, match=r"cam01/0000\.exr") as raised:
         list(Ingest(open_rig(rig)).frames(0, 2))
     assert "\n" not in str(raised.value)
 
