@@ -16,10 +16,8 @@ from .by_board import lenses_by_board, place_with_board
 from .by_motion import place_by_motion
 from .footage import check_copies, open_footage, unequal_lengths
 from .given import given_lenses
-from .placed import Calibration, Distance, Edge, OnStep, by_reason, check_named, measured, upright
+from .placed import MIN_CAMERAS, Calibration, Distance, Edge, OnStep, by_reason, check_named, measured, upright
 from .starts import brought_in_step
-
-MIN_CAMERAS = 3
 
 
 def calibrate(
