@@ -74,10 +74,11 @@ def calibrate(
 
 def calibrate_lenses(
     photos: Path, board: Board, frames: int | None = None, on_step: OnStep = lambda done, total: None
-) -> tuple[dict[str, tuple[Camera, float]], dict[str, str]]:
+) -> tuple[dict[str, tuple[Camera, float]], dict[str, str], str]:
     """Lenses alone, from pictures of a board that need not be of one instant: cameras at the origin, and errors, px.
 
-    Also what is uncertain about them, by name. Raises RigError where a camera's pictures do not give its lens.
+    Also what is uncertain about them, by name, and the board that was seen, in words. Raises RigError where a camera's
+    pictures do not give its lens.
     """
     footage = open_footage(photos)
     found = lenses_by_board(footage, board, frames, None, on_step)
@@ -89,7 +90,7 @@ def calibrate_lenses(
         for number, lens in found.lenses.items()
     }
     doubts = {footage[number].name: doubt for number, doubt in found.doubts.items()}
-    return {camera.name: (camera, found.errors[number]) for number, camera in cameras.items()}, doubts
+    return {camera.name: (camera, found.errors[number]) for number, camera in cameras.items()}, doubts, found.way
 
 
 def _said(reasons: Mapping[str, str]) -> str:
