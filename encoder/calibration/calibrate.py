@@ -14,7 +14,7 @@ from decogs.formats.errors import RigError, UsageError
 from .boards import Board
 from .by_board import lenses_by_board, place_with_board
 from .by_motion import place_by_motion
-from .footage import check_copies, open_footage, unequal_lengths
+from .footage import check_copies, open_footage, unequal_lengths, unread_beside
 from .given import given_lenses
 from .placed import MIN_CAMERAS, Calibration, Distance, Edge, OnStep, by_reason, check_named, measured, upright
 from .starts import brought_in_step
@@ -43,7 +43,11 @@ def calibrate(
     footage = open_footage(videos)
     if len(footage) < MIN_CAMERAS:
         names = ", ".join(camera.name for camera in footage)
-        raise RigError(f"{videos}: holds {len(footage)} cameras ({names}), and a rig needs {MIN_CAMERAS}; add videos")
+        unread = unread_beside(videos, footage)
+        raise RigError(
+            f"{videos}: holds {len(footage)} cameras ({names}), and a rig needs {MIN_CAMERAS}; add videos"
+            + (f", or convert {unread}, which is not read" if unread else "")
+        )
     if board is not None and distance is not None:
         raise UsageError("`distance`: a board says what a metre is; leave one of them away")
     if board is not None and shared_intrinsics:

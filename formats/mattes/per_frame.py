@@ -17,14 +17,15 @@ from ..cameras import Camera
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
 from ..rigs import Rig
-from ..rigs.sources import CutSource, FrameSource, PictureSource, pictures_in
-from ..videos import VideoSource, open_video
+from ..rigs.sources import CutSource, FrameSource, PictureSource, list_folder, pictures_in, refuse_unknown_kinds
+from ..videos import VIDEO_SUFFIXES, VideoSource, open_video
 from .places import places_of_cameras
 
 Alpha = NDArray[np.float32]
 
-_INNER_FOLDERS = ("", "pha", "alpha", "masks", "mask", "images")
-"""Where a camera's folder keeps its mattes: ``pha`` is BackgroundMattingV2's."""
+_INNER = ("pha", "alpha", "masks", "mask", "", "images")
+"""Folders, or videos, in which a camera's folder keeps its mattes: ``pha`` is BackgroundMattingV2's, which may have its
+foreground and composite beside it."""
 _COLOUR_LEVELS, _COLOUR_SHARE = 24, 1e-3
 """A matte has colour if so many of its pixels have channels so many levels apart: video codecs shift grey by a few."""
 _OPAQUE = 0.998
@@ -146,7 +147,7 @@ def _without_colour(path: Path, matte: Picture) -> Picture:
 
 def _places(folder: Path, cameras: Sequence[Camera], names: Collection[str]) -> dict[str, Path]:
     """Where each camera's mattes are; those of ``names`` must be there."""
-    places = places_of_cameras(folder, [camera.name for camera in cameras])
+    places = places_of_cameras(folder, [camera.name for camera in cameras], names)
     for name in names:
         if name not in places:
             raise RigError(f"{folder}: no mattes of camera {name}; put them into {name}/ or {name}.mp4")
@@ -155,25 +156,25 @@ def _places(folder: Path, cameras: Sequence[Camera], names: Collection[str]) -> 
 
 def _opened(place: Path, camera: Camera, source: FrameSource, count: int, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the rig's ``count`` frames, those of ``frames`` sure to be there."""
-    files = _pictures_at(place)
-    if not files and not place.is_dir():
-        video = open_video(place)
+    found = _mattes_at(place)
+    if isinstance(found, Path):
+        video = open_video(found)
         mattes = _MatteVideo(**vars(video))
         if isinstance(source, CutSource) and video.frame_count == source.source.frame_count:
             return replace(source, source=mattes)
         if video.frame_count != count:
-            raise RigError(f"{place}: {video.frame_count} frames, but the rig has {count}; cut both to the same frames")
+            raise RigError(f"{found}: {video.frame_count} frames, but the rig has {count}; cut both to the same frames")
         return mattes
-    return _checked(place, camera, _by_frame(files, source, count), frames)
+    return _checked(place, camera, _by_frame(found, source, count), frames)
 
 
 def _opened_for_stream(place: Path, camera: Camera, first: int, count: int, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the stream's ``count`` frames, those of ``frames`` sure to be there."""
-    files = _pictures_at(place)
-    if not files and not place.is_dir():
-        video = open_video(place)
+    files = _mattes_at(place)
+    if isinstance(files, Path):
+        video = open_video(files)
         if video.frame_count != count and (first or video.frame_count < count):
-            raise RigError(f"{place}: {video.frame_count} frames, but the stream has {count}; cut it to these")
+            raise RigError(f"{files}: {video.frame_count} frames, but the stream has {count}; cut it to these")
         return _MatteVideo(**vars(video))
     if len(files) != count:
         named = dict(zip(PictureSource(Path(), files, 0, 0).frame_numbers() or (), files, strict=False))
@@ -193,10 +194,22 @@ def _checked(place: Path, camera: Camera, files: tuple[Path, ...], frames: range
     return _Mattes(place, files, camera.width, camera.height)
 
 
-def _pictures_at(place: Path) -> tuple[Path, ...]:
-    if place.is_dir():
-        return next((found for name in _INNER_FOLDERS if (found := pictures_in(place / name))), ())
-    return (place,) if place.suffix.lower() in PICTURE_SUFFIXES else ()
+def _mattes_at(place: Path) -> Path | tuple[Path, ...]:
+    """The pictures of a camera's mattes, or the video that has them. Raises RigError where there are neither."""
+    if not place.is_dir():
+        return (place,) if place.suffix.lower() in PICTURE_SUFFIXES else place
+    videos = [entry for entry in list_folder(place) if entry.suffix.lower() in VIDEO_SUFFIXES and entry.is_file()]
+    for name in _INNER:
+        if pictures := pictures_in(place / name):
+            return pictures
+        for video in videos:
+            if video.stem.lower() == name:
+                return video
+    if len(videos) == 1:
+        return videos[0]
+    refuse_unknown_kinds([place, *(place / name for name in _INNER)])
+    there = f"videos, of which none is called pha.mp4 ({', '.join(v.name for v in videos)})" if videos else "no mattes"
+    raise RigError(f"{place}: {there}; give a matte for every frame, such as 0000.png")
 
 
 def _by_frame(files: tuple[Path, ...], source: FrameSource, count: int) -> tuple[Path, ...]:

@@ -9,6 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import RigError
+from ..unicode_forms import composed
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, refuse_unknown_kinds
 
 
@@ -33,6 +34,7 @@ def frames_of_cameras(
     holds such a name as a word, or is a word of it, belongs to the camera: ``take1_left.mp4`` to ``left``.
     ``may_lack``: cameras without frames are left out with a warning, as are frames without a camera. Raises RigError.
     """
+    spellings = {name: [composed(one) for one in spelled] for name, spelled in spellings.items()}
     for folder in folders:
         entries = [entry for entry in list_folder(folder) if holds_frames(entry)]
         found = {name: _entry(name, spelled, entries) for name, spelled in spellings.items()}
@@ -52,6 +54,7 @@ def frames_of_cameras(
     _check_one_each(of)
     lacking = [name for name in spellings if name not in of]
     if lacking and not may_lack:
+        refuse_unknown_kinds(entry for entry in list_folder(folder) if _fits(entry, spellings[lacking[0]]))
         raise RigError(
             f"{calibration}: no video or picture folder of camera {lacking[0]!r}{_more(lacking)} in {folder}; put it "
             "back, name it as the camera, or take the camera out of the calibration"
@@ -98,7 +101,7 @@ def _fits(entry: Path, spelled: Sequence[str]) -> bool:
 
 
 def _name(entry: Path) -> str:
-    return entry.name if entry.is_dir() else entry.stem
+    return composed(entry.name if entry.is_dir() else entry.stem)
 
 
 def _is_word(word: str, text: str) -> bool:

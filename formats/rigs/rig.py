@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera, scale_camera
 from ..errors import RigError, UsageError
+from ..unicode_forms import composed
 from ..videos import VideoSource
 from .sources import FrameSource, PictureSource, natural_key
 
@@ -78,6 +79,7 @@ def assemble_rig(
     """
     if not pairs:
         raise RigError(f"{path}: the calibration lists no cameras; calibrate the rig again")
+    pairs = [(replace(camera, name=composed(camera.name)), source) for camera, source in pairs]
     _check_names(path, [camera.name for camera, _ in pairs])
     ordered = [
         (camera, _as_calibrated(camera, source, resizable))
