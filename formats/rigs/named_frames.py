@@ -12,6 +12,9 @@ from ..errors import RigError
 from ..unicode_forms import composed
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, refuse_unknown_kinds
 
+_CAM = "(?i:cam(?:era)?)?"
+"""What may stand right before a camera's name in a file's: aniposelib's tutorial calls camera A's ``...-camA.MOV``."""
+
 
 @dataclass(frozen=True)
 class NamedFrames:
@@ -31,7 +34,8 @@ def frames_of_cameras(
     """The frames of the cameras in ``calibration``, in the first of ``folders`` that has any.
 
     ``spellings``: for each camera the names that its video or folder may have. Where none of these is there, one that
-    holds such a name as a word, or is a word of it, belongs to the camera: ``take1_left.mp4`` to ``left``.
+    holds such a name as a word, or is a word of it, belongs to the camera: ``take1_left.mp4`` and ``take1-camleft.mp4``
+    to ``left``.
     ``may_lack``: cameras without frames are left out with a warning, as are frames without a camera. Raises RigError.
     """
     spellings = {name: [composed(one) for one in spelled] for name, spelled in spellings.items()}
@@ -97,15 +101,15 @@ def _check_one_each(of: Mapping[str, Path]) -> None:
 
 
 def _fits(entry: Path, spelled: Sequence[str]) -> bool:
-    return any(_is_word(one, _name(entry)) or _is_word(_name(entry), one) for one in spelled)
+    return any(_is_word(one, _name(entry), _CAM) or _is_word(_name(entry), one) for one in spelled)
 
 
 def _name(entry: Path) -> str:
     return composed(entry.name if entry.is_dir() else entry.stem)
 
 
-def _is_word(word: str, text: str) -> bool:
-    return bool(word) and re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", text) is not None
+def _is_word(word: str, text: str, before: str = "") -> bool:
+    return bool(word) and re.search(rf"(?<![A-Za-z0-9]){before}{re.escape(word)}(?![A-Za-z0-9])", text) is not None
 
 
 def _more(found: Sequence[object]) -> str:
