@@ -14,6 +14,7 @@ import OpenEXR
 import pytest
 
 from decogs.encoder import MatteChoice
+from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.commands import encode_main
 from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.input.matte_checks import check_mattes
@@ -64,7 +65,7 @@ def greenness(picture: np.ndarray) -> np.ndarray:
 def check(rig: Path, masks: Path) -> list[str]:
     warnings: list[str] = []
     ingest = opened(rig, masks=masks)
-    check_mattes(ingest, frame_of(ingest), warnings.append)
+    assert check_mattes(ingest, frame_of(ingest), warnings.append).startswith("mattes agree")
     return warnings
 
 
@@ -426,6 +427,30 @@ def test_a_hand_that_one_matte_lacks_is_a_warning(green: Path, masks: Path) -> N
     changed(cut)(masks)
     (warning,) = check(green, masks)
     assert f"{NAMES[2]}/0000.png: mattes contradict each other" in warning
+
+
+@pytest.mark.parametrize("json", [False, True])
+def test_an_analysis_says_that_mattes_agree_before_it_looks_at_the_rig(
+    green: Path, masks: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], json: bool
+) -> None:
+    def analysed(*_: Any, **__: Any) -> None:
+        raise UsageError("stopped")
+
+    monkeypatch.setattr("decogs.encoder.analysis.analyse.analyse", analysed)
+    arguments = [str(green), "--masks", str(masks), "-q", *(["--json", "-"] if json else [])]
+    assert analyze_main(arguments) == 2
+    said = capsys.readouterr()
+    agree = "mattes agree: of a camera's subject the others confirm 100% at least\n"
+    assert (said.err if json else said.out).startswith(agree)
+    shutil.rmtree(masks / NAMES[0])
+    (masks / NAMES[1]).rename(masks / NAMES[0])
+    assert analyze_main(arguments) == 2
+    assert "mattes agree" not in "".join(capsys.readouterr())
+
+
+def test_two_cameras_cannot_say_whether_mattes_agree(green: Path, masks: Path) -> None:
+    ingest = opened(green, masks=masks, holdout=tuple(NAMES[2:]))
+    assert check_mattes(ingest, frame_of(ingest), lambda text: None).endswith("whether they agree only 3 cameras say")
 
 
 def test_the_command_names_its_options(green: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
