@@ -12,6 +12,7 @@ import re
 from collections.abc import Generator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 from .errors import RigError
 from .pictures import Picture
@@ -38,6 +39,14 @@ class ChapteredVideo(VideoSource):
                 yield from chapter.read(following - begin, min(end, stop) - begin, step)
                 following += -(-(min(end, stop) - following) // step) * step
             begin = end
+
+    def whole(self) -> VideoSource:
+        """As of any video, of all chapters."""
+        return replace(self, **_size(self.chapters[0].whole()), chapters=tuple(each.whole() for each in self.chapters))
+
+
+def _size(video: VideoSource) -> dict[str, Any]:
+    return {name: getattr(video, name) for name in ("width", "height", "edges")}
 
 
 def open_recording(path: Path) -> VideoSource:

@@ -68,7 +68,8 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     mattes = open_mattes(matte_choice(options), rig, span, options.holdout)
     if mattes is not None and mattes.cuts:
         ingest = Ingest(rig, holdout=options.holdout, mattes=mattes)
-        check_mattes(ingest, next(ingest.frames(span.start, span.start + 1)), warn_as(parser))
+        agree = check_mattes(ingest, next(ingest.frames(span.start, span.start + 1)), warn_as(parser))
+        print_text(agree, to_stderr=options.json == "-")
     to_file = options.json is not None and options.json != "-"
     page = None if options.output is None else Path(options.output) / _PAGE
     outputs = [Output("json", Path(options.json), grows=True)] if to_file else []

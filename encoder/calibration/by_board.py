@@ -20,6 +20,8 @@ from .lenses import Lens, board_error, focal_deviation, focal_that_fits, lens_fr
 from .placed import MAX_ERROR, Calibration, OnStep, Placed, inaccurate
 
 _INSTANTS = 120
+_UNSEEN = 4
+"""Frames of each camera, at least, that are asked for other markers where none shows the board."""
 _MAX_FOCAL_DEVIATION, _NAMED_FOCAL_DEVIATION = 0.02, 0.01
 """Of a focal length that a board gave, as its share: what is left out, and what is named. On `desk_charuco_4cam`, where
 the board is in the middle of the pictures, deviations of .002, .015 and .016 come with focal lengths off by 1 to 3 %,
@@ -35,13 +37,17 @@ _CONTRADICTED = 1.2
 
 @dataclass(frozen=True)
 class BoardLenses:
-    """Sights of the board by camera and instant, lenses with their errors, px, why others have none, and doubts."""
+    """Sights of the board by camera and instant, lenses with their errors, px, why others have none, and doubts.
+
+    ``way``: the board that was seen, in words.
+    """
 
     views: Mapping[int, Mapping[int, BoardView]]
     lenses: Mapping[int, Lens]
     errors: Mapping[int, float]
     reasons: Mapping[int, str]
     doubts: Mapping[int, str]
+    way: str
 
 
 def lenses_by_board(
@@ -68,15 +74,14 @@ def lenses_by_board(
             doubts |= {number: word} if word else {}
         on_step(number + 1, len(footage))
     if not any(views.values()):
-        raise UsageError(
-            f"`board`: no camera shows it in {len(instants)} frames looked at; check how many squares it has along "
-            "each side, and its dictionary of markers, or show it to the cameras"
-        )
+        some = instants[:: max(1, len(instants) // _UNSEEN)]
+        word = board.why_unseen(picture for camera in footage for picture in pictures_at(camera, some))
+        raise UsageError(f"`board`: no camera shows it in {len(instants)} frames looked at; {word}")
     sights = {number: list(views[number].values()) for number in lenses}
     if given is not None and (misfits := _misfits(given, sights, corners)):
         raise given.contradicted(footage, misfits)
     errors = {number: board_error(lens, sights[number], corners) for number, lens in lenses.items()}
-    return BoardLenses(views, lenses, errors, reasons, doubts)
+    return BoardLenses(views, lenses, errors, reasons, doubts, str(find.board))
 
 
 def _own_lens(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> tuple[Lens | None, str]:
@@ -132,7 +137,7 @@ def place_with_board(
     return Calibration(
         tuple(placed),
         {names[number]: reasons[number] for number in sorted(reasons)},
-        "board",
+        found.way,
         "metre",
         {names[number]: doubt for number, doubt in sorted(doubts.items())},
         {(names[a], names[b]): count for (a, b), count in common.items() if count},

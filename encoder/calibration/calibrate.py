@@ -14,12 +14,10 @@ from decogs.formats.errors import RigError, UsageError
 from .boards import Board
 from .by_board import lenses_by_board, place_with_board
 from .by_motion import place_by_motion
-from .footage import check_copies, open_footage, unequal_lengths
+from .footage import check_copies, open_footage, unequal_lengths, unread_beside
 from .given import given_lenses
-from .placed import Calibration, Distance, Edge, OnStep, by_reason, check_named, measured, upright
+from .placed import MIN_CAMERAS, Calibration, Distance, Edge, OnStep, by_reason, check_named, measured, upright
 from .starts import brought_in_step
-
-MIN_CAMERAS = 3
 
 
 def calibrate(
@@ -45,7 +43,11 @@ def calibrate(
     footage = open_footage(videos)
     if len(footage) < MIN_CAMERAS:
         names = ", ".join(camera.name for camera in footage)
-        raise RigError(f"{videos}: holds {len(footage)} cameras ({names}), and a rig needs {MIN_CAMERAS}; add videos")
+        unread = unread_beside(videos, footage)
+        raise RigError(
+            f"{videos}: holds {len(footage)} cameras ({names}), and a rig needs {MIN_CAMERAS}; add videos"
+            + (f", or convert {unread}, which is not read" if unread else "")
+        )
     if board is not None and distance is not None:
         raise UsageError("`distance`: a board says what a metre is; leave one of them away")
     if board is not None and shared_intrinsics:
@@ -76,10 +78,11 @@ def calibrate(
 
 def calibrate_lenses(
     photos: Path, board: Board, frames: int | None = None, on_step: OnStep = lambda done, total: None
-) -> tuple[dict[str, tuple[Camera, float]], dict[str, str]]:
+) -> tuple[dict[str, tuple[Camera, float]], dict[str, str], str]:
     """Lenses alone, from pictures of a board that need not be of one instant: cameras at the origin, and errors, px.
 
-    Also what is uncertain about them, by name. Raises RigError where a camera's pictures do not give its lens.
+    Also what is uncertain about them, by name, and the board that was seen, in words. Raises RigError where a camera's
+    pictures do not give its lens.
     """
     footage = open_footage(photos)
     found = lenses_by_board(footage, board, frames, None, on_step)
@@ -91,7 +94,7 @@ def calibrate_lenses(
         for number, lens in found.lenses.items()
     }
     doubts = {footage[number].name: doubt for number, doubt in found.doubts.items()}
-    return {camera.name: (camera, found.errors[number]) for number, camera in cameras.items()}, doubts
+    return {camera.name: (camera, found.errors[number]) for number, camera in cameras.items()}, doubts, found.way
 
 
 def _said(reasons: Mapping[str, str]) -> str:

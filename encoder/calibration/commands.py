@@ -131,11 +131,12 @@ def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | Non
             raise UsageError(f"`{name}`: says nothing of lenses alone; leave it away, or `lenses_only`")
     with staged_files(Path(options.output)) as staging:
         with progress("calibrating", "step", quiet=options.quiet) as on_step:
-            found, doubts = calibrate_lenses(Path(options.videos_dir), board, options.frames, on_step)
+            found, doubts, way = calibrate_lenses(Path(options.videos_dir), board, options.frames, on_step)
         write_lenses(found, staging)
     for doubt, names in by_reason(doubts).items():
         warn_as(parser)(f"{names}: {doubt}")
-    print_text("\n".join(_line(camera, error) for camera, error in found.values()))
+    lines = [_line(camera, error) for camera, error in found.values()]
+    print_text("\n".join([*lines, f"{len(lines)} lenses found ({way})"]))
 
 
 def _line(camera: Camera, error: float) -> str:

@@ -79,6 +79,10 @@ class Matched:
     shared: bool
     given: Given | None = None
 
+    def without(self, number: int) -> Matched:
+        """As if a camera's pictures had nothing in common with the others'."""
+        return replace(self, pairs=[pair for pair in self.pairs if number not in (pair.first, pair.second)])
+
     def scored(self, model: Any, way: str) -> Mapped:
         """The model's cameras and their score."""
         cameras = {

@@ -19,15 +19,16 @@ from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
 from ..rigs import Rig
 from ..rigs.rig import more
-from ..rigs.sources import CutSource, FrameSource, PictureSource, pictures_in
-from ..videos import VideoSource, open_video
+from ..rigs.sources import CutSource, FrameSource, PictureSource, list_folder, pictures_in, refuse_unknown_kinds
+from ..videos import VIDEO_SUFFIXES, VideoSource, open_video
 from .numbering import mattes_of_recording, mattes_of_stream
 from .places import places_of_cameras
 
 Alpha = NDArray[np.float32]
 
-_INNER_FOLDERS = ("", "pha", "alpha", "masks", "mask", "images")
-"""Where a camera's folder keeps its mattes: ``pha`` is BackgroundMattingV2's."""
+_INNER = ("pha", "alpha", "masks", "mask", "", "images")
+"""Folders, or videos, in which a camera's folder keeps its mattes: ``pha`` is BackgroundMattingV2's, which may have its
+foreground and composite beside it."""
 _COLOUR_LEVELS, _COLOUR_SHARE = 24, 1e-3
 """A matte has colour if so many of its pixels have channels so many levels apart: video codecs shift grey by a few."""
 _OPAQUE = 0.998
@@ -177,7 +178,7 @@ def _without_colour(path: Path, matte: Picture) -> Picture:
 
 def _places(folder: Path, cameras: Sequence[Camera], names: Collection[str]) -> dict[str, Path]:
     """Where each camera's mattes are; those of ``names`` must be there."""
-    places = places_of_cameras(folder, [camera.name for camera in cameras])
+    places = places_of_cameras(folder, [camera.name for camera in cameras], names)
     for name in names:
         if name not in places:
             raise RigError(f"{folder}: no mattes of camera {name}; put them into {name}/ or {name}.mp4")
@@ -186,19 +187,19 @@ def _places(folder: Path, cameras: Sequence[Camera], names: Collection[str]) -> 
 
 def _opened(place: Path, camera: Camera, rig: Rig, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the rig's frames, those of ``frames`` sure to be there."""
-    files = _pictures_at(place)
+    found = _mattes_at(place)
     recording, clock = rig.recording(camera.name), rig.timeline.clock(camera.name)
-    if not files and not place.is_dir():
-        video = open_video(place)
+    if isinstance(found, Path):
+        video = open_video(found)
         mattes = _MatteVideo(**vars(video))
         if video.frame_count == rig.frame_count:
             return mattes
         if video.frame_count == recording.frame_count:
             return CutSource(mattes, clock.first, clock.step, rig.frame_count)
         raise RigError(
-            f"{place}: {video.frame_count} frames, but the rig has {rig.frame_count}; cut both to the same frames"
+            f"{found}: {video.frame_count} frames, but the rig has {rig.frame_count}; cut both to the same frames"
         )
-    numbered = mattes_of_recording(place, files, recording, clock, rig.frame_count, frames)
+    numbered = mattes_of_recording(place, found, recording, clock, rig.frame_count, frames)
     return _Mattes(place, numbered, camera.width, camera.height)
 
 
@@ -223,16 +224,28 @@ def _last_number(file: Path) -> int | None:
 
 def _opened_for_stream(place: Path, camera: Camera, first: int, count: int, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the stream's ``count`` frames, those of ``frames`` sure to be there."""
-    files = _pictures_at(place)
-    if not files and not place.is_dir():
-        video = open_video(place)
+    files = _mattes_at(place)
+    if isinstance(files, Path):
+        video = open_video(files)
         if video.frame_count != count and (first or video.frame_count < count):
-            raise RigError(f"{place}: {video.frame_count} frames, but the stream has {count}; cut it to these")
+            raise RigError(f"{files}: {video.frame_count} frames, but the stream has {count}; cut it to these")
         return _MatteVideo(**vars(video))
     return _Mattes(place, mattes_of_stream(place, files, first, count, frames), camera.width, camera.height)
 
 
-def _pictures_at(place: Path) -> tuple[Path, ...]:
-    if place.is_dir():
-        return next((found for name in _INNER_FOLDERS if (found := pictures_in(place / name))), ())
-    return (place,) if place.suffix.lower() in PICTURE_SUFFIXES else ()
+def _mattes_at(place: Path) -> Path | tuple[Path, ...]:
+    """The pictures of a camera's mattes, or the video that has them. Raises RigError where there are neither."""
+    if not place.is_dir():
+        return (place,) if place.suffix.lower() in PICTURE_SUFFIXES else place
+    videos = [entry for entry in list_folder(place) if entry.suffix.lower() in VIDEO_SUFFIXES and entry.is_file()]
+    for name in _INNER:
+        if pictures := pictures_in(place / name):
+            return pictures
+        for video in videos:
+            if video.stem.lower() == name:
+                return video
+    if len(videos) == 1:
+        return videos[0]
+    refuse_unknown_kinds([place, *(place / name for name in _INNER)])
+    there = f"videos, of which none is called pha.mp4 ({', '.join(v.name for v in videos)})" if videos else "no mattes"
+    raise RigError(f"{place}: {there}; give a matte for every frame, such as 0000.png")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..errors import RigError
 from ..frame_rates import read_rate
 from ..regular_files import open_regular
+from ..unicode_forms import as_it_lies, composed
 
 _MAX_BYTES = 64 << 20
 _FASTEST = 10_000
@@ -69,7 +70,10 @@ class Fields:
         return value
 
     def label(self, key: str, default: str | None = None) -> str:
-        """A text fit for one line of a message: a name, a path."""
+        """A text fit for one line of a message, such as a name, in one of Unicode's forms."""
+        return composed(self._printable(key, default))
+
+    def _printable(self, key: str, default: str | None) -> str:
         value = self.text(key, default)
         if not value.isprintable():
             raise self.wrong(key, "holds control characters")
@@ -77,13 +81,13 @@ class Fields:
 
     def path(self, key: str, folder: Path, default: str | None = None) -> Path:
         """A path relative to ``folder``, also as Windows spells it. Raises RigError for one with a Windows drive."""
-        text = self.label(key, default)
+        text = self._printable(key, default)
         windows = PureWindowsPath(text)
         if os.path.exists(folder / text) or not (windows.drive or "\\" in text):
-            return folder / text
+            return as_it_lies(folder / text)
         if windows.drive:
             raise self.wrong(key, f"is {text!r}, a place on a Windows machine and not relative to {folder}")
-        return folder / windows.as_posix()
+        return as_it_lies(folder / windows.as_posix())
 
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers; raises RigError for anything else."""

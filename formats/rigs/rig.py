@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from ..cameras import Camera, scale_camera
 from ..errors import RigError, UsageError
 from ..frame_rates import exact_rate
+from ..unicode_forms import composed
+from ..videos import VideoSource
 from .sources import FrameSource, PictureSource, natural_key
 from .timeline import RigTime, Timeline
 
@@ -86,6 +88,7 @@ def assemble_rig(
     """
     if not pairs:
         raise RigError(f"{path}: the calibration lists no cameras; calibrate the rig again")
+    pairs = [(replace(camera, name=composed(camera.name)), source) for camera, source in pairs]
     _check_names(path, [camera.name for camera, _ in pairs])
     ordered = [
         (camera, _as_calibrated(camera, source, resizable))
@@ -167,12 +170,28 @@ def usual(values: Sequence[Hashable]) -> int:
 def _as_calibrated(camera: Camera, source: FrameSource, resizable: bool) -> FrameSource:
     """The source, turned by its pictures' EXIF orientation if only then they are what was calibrated.
 
-    Where the stored pictures fit, they stay as they are stored, as in COLMAP; so do all square ones.
+    Where the stored pictures fit, they stay as they are stored, as in COLMAP; so do all square ones. A video has the
+    edges that its clean aperture leaves out where its size was calibrated with them.
     """
+    if isinstance(source, VideoSource) and any(source.edges):
+        return _with_edges_as_calibrated(camera, source)
     if _fits(camera, source, resizable) or not isinstance(source, PictureSource):
         return source
     turned = source.turned()
     return turned if turned is not None and _fits(camera, turned, resizable) else source
+
+
+def _with_edges_as_calibrated(camera: Camera, source: VideoSource) -> VideoSource:
+    size, whole = (camera.width, camera.height), source.whole()
+    if size == (whole.width, whole.height):
+        return whole
+    if size == (source.width, source.height):
+        return source
+    said = (
+        f"is cropped to its clean aperture, {source.width} x {source.height} of {whole.width} x {whole.height} pixels; "
+        "if the cameras were calibrated with all of them, state the calibration at that size"
+    )
+    return replace(source, warnings=(*source.warnings, said))
 
 
 def _fits(camera: Camera, source: FrameSource, resizable: bool) -> bool:

@@ -18,7 +18,17 @@ import pytest
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import files_of, open_rig, read_frames
-from rig_layouts import CASES, FRAMES, LayoutCase, camera_to_world, picture, write_easyvolcap, write_pictures
+from rig_layouts import (
+    CASES,
+    FRAMES,
+    LayoutCase,
+    camera_to_world,
+    cameras,
+    picture,
+    write_aniposelib,
+    write_easyvolcap,
+    write_pictures,
+)
 
 WORLD_POINTS = np.array([[0.3, 0.1, 0.5], [0.1, 0.2, 0.3], [-0.2, 0.0, 0.1]])
 OF_COLMAP = ("multipleview", "colmap4d", "frame folders")
@@ -305,6 +315,21 @@ def test_a_video_that_may_be_of_two_cameras(tmp_path: Path) -> None:
     refused(tmp_path, r"may hold frames of camera 'left', too")
     (tmp_path / "take1_left.mp4").unlink()
     refused(tmp_path, "may be of camera 'left' or 'mid'")
+
+
+@pytest.mark.parametrize(
+    "name", ["calib-charuco-cam{}-compressed", "2019-08-02-vid01-cam{}", "Camera{}", "hand-{}-test"]
+)
+def test_cam_may_stand_before_a_camera_s_name(tmp_path: Path, name: str) -> None:
+    """As in aniposelib's tutorial, whose cameras are called A, B and C."""
+    letters = ["A", "B", "C"]
+    write_aniposelib(tmp_path, cameras("opencv", letters))
+    for letter in letters:
+        (tmp_path / f"take1_{letter}.mp4").rename(tmp_path / f"{name.format(letter)}.mp4")
+    rig = open_rig(tmp_path)
+    assert [(camera.name, source.path.stem) for camera, source in zip(rig.cameras, rig.sources, strict=True)] == [
+        (letter, name.format(letter)) for letter in letters
+    ]
 
 
 def test_the_calibration_may_be_in_a_folder_of_its_own(tmp_path: Path) -> None:

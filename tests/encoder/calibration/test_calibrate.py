@@ -83,6 +83,23 @@ def test_two_cameras_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "holds 2 cameras (a, b)" in capsys.readouterr().err
 
 
+def test_photos_of_an_unknown_ending_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All of them, or those of one camera."""
+    _write_pictures(tmp_path / "videos", ["a", "b"])
+    (tmp_path / "videos/c").mkdir()
+    (tmp_path / "videos/c/IMG_0001.HEIC").write_bytes(b"0")
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "videos/c").rename(tmp_path / "photos/c")
+    assert calibrate_main([str(tmp_path / "photos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
+    assert "c/IMG_0001.HEIC: files ending in .HEIC are not read as frames; convert them" in capsys.readouterr().err
+    (tmp_path / "photos/c").rename(tmp_path / "videos/c")
+    assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
+    said = capsys.readouterr().err
+    assert "holds 2 cameras (a, b), and a rig needs 3" in said
+    assert "or convert" in said
+    assert "c/IMG_0001.HEIC, which is not read" in said
+
+
 def test_a_board_that_nobody_sees_may_be_another_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _write_pictures(tmp_path / "videos", ["a", "b", "c"])
     arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q", "--board", "charuco:5x4:0.05:0.0375"]
