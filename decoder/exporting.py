@@ -24,6 +24,7 @@ from decogs.formats.frame_ranges import Frames
 from decogs.formats.length_units import metres_of
 from decogs.formats.openusd import load_openusd
 from decogs.formats.outputs import Output, check_outputs, errors_named, files_read, staged_files
+from decogs.formats.regular_files import open_regular
 from decogs.formats.similarity import Similarity, transformed_splats
 from decogs.formats.splat_files import Extremes, SplatFormat, splat_formats
 from decogs.formats.splat_files.spz import SpzVersion
@@ -225,7 +226,7 @@ def _asset(source: Path) -> tuple[str, str]:
     The same stream is the same version, and one that was encoded again is another.
     """
     digest = hashlib.sha256()
-    with source.open("rb") as file:
+    with open_regular(source) as file:
         while chunk := file.read(_CHUNK):
             digest.update(chunk)
     # A name need not be text that USD can hold.
