@@ -141,7 +141,8 @@ class Stream:
         self._check_open()
         for frame in range(start, self.frame_count if stop is None else stop):
             with self._errors_named():
-                yield self._sound_of(frame)
+                sound = self._sound_of(frame)
+            yield sound
 
     def _sound_of(self, frame: int) -> FrameSound:
         entry, after = self._survey.entry(frame), self._survey.entry(frame + 1)
