@@ -352,7 +352,7 @@ def test_rigs_of_one_name_are_refused(refused: Callable[..., str], three_frames:
 
 def test_a_file_in_the_reports_place_is_refused(refused: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "report").write_text("")
-    assert "report: is a file; name a folder for the report" in refused()
+    assert "report: is a file; name a folder" in refused()
 
 
 def test_an_unknown_kind_of_report_is_refused(refused: Callable[..., str]) -> None:

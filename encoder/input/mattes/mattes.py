@@ -137,6 +137,11 @@ def open_mattes(choice: MatteChoice | None, rig: Rig, frames: range, held_out: C
     return mattes if mattes.cuts or kept else None
 
 
+def files_of_mattes(mattes: Mattes | None) -> list[tuple[Path, str]]:
+    """Every file that is read for them, and what it is called."""
+    return [] if mattes is None else [(file, "is a matte or a plate of the rig") for file in mattes.files]
+
+
 def _files(given: Rig | None, *by_camera: Mapping[str, Path]) -> Iterator[Path]:
     for source in () if given is None else given.sources:
         yield from files_of_source(source)

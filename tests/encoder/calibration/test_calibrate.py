@@ -154,9 +154,9 @@ def _write_pictures(folder: Path, names: list[str]) -> None:
     ("more", "said"),
     [
         (["--distance", "a:d:1"], "--distance from d: there are a, b, c"),
-        (["-o", "{file}"], "file: cannot be written to"),
+        (["-o", "{file}"], "file: is a file; name a folder"),
         (["-o", "{file}/rig"], "file/rig: cannot be written to"),
-        (["-o", "{file}", "--board", BOARD, "--lenses-only"], "file: cannot be written to"),
+        (["-o", "{file}", "--board", BOARD, "--lenses-only"], "file: is a file; name a folder"),
     ],
 )
 def test_what_cannot_be_done_is_said_before_the_work(
