@@ -10,7 +10,7 @@ import math
 import os
 import re
 from collections.abc import Generator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,11 @@ class ChapteredVideo(VideoSource):
                 following += -(-(min(end, stop) - following) // step) * step
             begin = end
 
+    def readable_after(self, index: int) -> int:
+        """As of any video: damage ends with its chapter at the latest."""
+        chapters, frame = chapters_from(self, index)
+        return index - frame + min(chapters[0].readable_after(frame), chapters[0].frame_count)
+
     def whole(self) -> VideoSource:
         """As of any video, of all chapters."""
         return replace(self, **_size(self.chapters[0].whole()), chapters=tuple(each.whole() for each in self.chapters))
@@ -62,11 +67,10 @@ def open_recording(path: Path) -> VideoSource:
     chapters = (first, *map(open_video, files))
     for file, chapter in zip(files, chapters[1:], strict=True):
         _check_goes_on(path, first, file, chapter)
-    shown = {each.name: getattr(first, each.name) for each in fields(VideoSource)}
-    whole = ChapteredVideo(**shown, chapters=chapters)
     count = sum(chapter.frame_count for chapter in chapters)
     said = f"goes on in {len(files)} more chapter{'s' if len(files) > 1 else ''}, read as one recording"
-    return replace(whole, frame_count=count, times=None, warnings=(said, *first.warnings))
+    warnings = (said, *first.warnings)
+    return ChapteredVideo(path, **_size(first), frame_count=count, fps=first.fps, warnings=warnings, chapters=chapters)
 
 
 def continues_another(path: Path) -> bool:

@@ -53,6 +53,13 @@ def test_chapters_are_one_recording(names: list[str], tmp_path: Path, make: Any)
     assert open_recording(files[1]).frame_count == LENGTHS[1], "a later chapter alone is what it is"
 
 
+def test_damage_ends_with_its_chapter(tmp_path: Path, make: Any) -> None:
+    video = open_recording(chapters(tmp_path, ["GX010042.MP4", "GX020042.MP4", "GX030042.MP4"], make)[0])
+    assert isinstance(video, ChapteredVideo)
+    ends = np.cumsum(LENGTHS).tolist()
+    assert [video.readable_after(frame) for frame in (1, 4, 11)] == ends, "each has one keyframe, its first picture"
+
+
 def test_other_names_and_other_recordings_are_left_alone(tmp_path: Path, make: Any) -> None:
     files = chapters(tmp_path, ["GX010042.MP4", "GX020043.MP4", "cam020042.MP4"], make)
     assert open_recording(files[0]).frame_count == LENGTHS[0]
