@@ -147,8 +147,6 @@ class _Work:
 def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     """All that can be checked before work begins; raises what `encode` raises."""
     check_device(job.device)
-    if job.metrics and job.resume:
-        raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
     if not (isinstance(job.seed, int) and job.seed >= 0):
         raise UsageError(f"`seed` {job.seed}: give a number of at least 0, a whole one")
     settings = chosen_settings(job)
