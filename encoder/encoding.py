@@ -47,8 +47,6 @@ from .stream.run import encode_stream
 from .switches import Switches, check_together, with_switches
 from .targets import Targets, with_targets
 
-_Source = KeyframeSource | SplatSource
-
 
 def encode(
     job: EncodeJob, *, progress: EncodeObserver | None = None, on_warning: OnWarning | None = None
@@ -139,7 +137,7 @@ class _Work:
     span: range
     part: range | None
     base: Base | None
-    source: _Source | None
+    source: KeyframeSource | SplatSource | None
     sound: SoundSource | None
     memory: EncodeMemory
 
@@ -147,13 +145,11 @@ class _Work:
 def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     """All that can be checked before work begins; raises what `encode` raises."""
     check_device(job.device)
-    if job.metrics and job.resume:
-        raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
     if not (isinstance(job.seed, int) and job.seed >= 0):
         raise UsageError(f"`seed` {job.seed}: give a number of at least 0, a whole one")
     settings = chosen_settings(job)
     base = _base(settings, job)
-    source = None if job.keyframe is None or base is not None else _read_source(job.keyframe, job.max_memory)
+    source = None if base is not None else source_of(job)
     rig = job.rig if isinstance(job.rig, Rig) else open_rig(job.rig)
     for warning in rig.warnings:
         warn(warning)
@@ -239,8 +235,13 @@ def _base(settings: EncodeSettings, job: EncodeJob) -> Base | None:
     return None if job.keyframe is None or is_splat_file(job.keyframe) else read_base(Path(job.keyframe))
 
 
-def _read_source(path: str | os.PathLike[str], max_memory: int | None) -> _Source:
-    return read_splat_source(path, max_memory) if is_splat_file(path) else read_keyframe(path)
+def source_of(job: EncodeJob) -> KeyframeSource | SplatSource | None:
+    """The keyframe to begin with, if the job names one. Raises UsageError for what cannot be read."""
+    if job.keyframe is None:
+        return None
+    return (
+        read_splat_source(job.keyframe, job.max_memory) if is_splat_file(job.keyframe) else read_keyframe(job.keyframe)
+    )
 
 
 def chosen_settings(job: EncodeJob) -> EncodeSettings:

@@ -40,7 +40,7 @@ DEMUXERS = {
     "matroska": (".mkv", ".webm"),
     "avi": (".avi",),
     "mpegts": (".ts", ".mts", ".m2ts"),
-    "mpeg": (".mpg", ".mpeg"),
+    "mpeg": (".mpg", ".mpeg", ".vob"),
     "mxf": (".mxf",),
     "yuv4mpegpipe": (".y4m",),
 }
@@ -74,8 +74,9 @@ class VideoSource:
 
     Width and height in pixels, as shown; fps None if the file does not say. ``times``: presentation time of every frame
     in the track's own unit, (frame_count,) int64, or None if the container has no usable times; ``keyframes``: those of
-    frames that decoding can begin with, their numbers where there are no times. ``edges``: pixels of the decoded frames
-    that are not shown. ``turn``: see ``_turn``, after that. ``warnings``: what shows in its pictures.
+    frames that decoding can begin with, their numbers where there are no times. ``dropped``: frames that repeat the one
+    before. ``edges``: pixels of the decoded frames that are not shown. ``turn``: see ``_turn``, after that.
+    ``warnings``: what shows in its pictures.
     """
 
     path: Path
@@ -85,6 +86,7 @@ class VideoSource:
     fps: float | None
     times: NDArray[np.int64] | None = field(default=None, repr=False, compare=False)
     keyframes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64), repr=False, compare=False)
+    dropped: frozenset[int] = field(default=frozenset(), repr=False)
     siting: Siting = (True, False)
     edges: Edges = NO_EDGES
     turn: tuple[int, int, int, int] = (1, 0, 0, 1)
@@ -115,7 +117,8 @@ class VideoSource:
     def _frames_from(self, start: int) -> Generator[VideoFrame, None, None]:
         """The decoded frames from ``start`` on, each by its own time."""
         for begin in self._beginnings(start):
-            following, before = start, None
+            following, before = start, -1
+            last: VideoFrame | None = None
             damage: RigError | None = None
             with opened_video(self.path) as (container, stream):
                 if begin is not None and not _seek(container, stream, begin):
@@ -123,15 +126,19 @@ class VideoSource:
                 frames = _decoded(self.path, container, stream, passes_errors=self.times is not None)
                 for position, frame in enumerate(frames):
                     index = position if self.times is None else self._index_of(frame, following)
+                    while damage is None and last is not None and following < index and following in self.dropped:
+                        yield last
+                        following += 1
                     if index > following and begin is not None and following == start:
                         break  # what was sought lies further on
                     if index > following:
                         raise _missing(self.path, following)
-                    if frame.is_corrupt or before not in (None, index - 1):
+                    lacks = last is not None and any(k not in self.dropped for k in range(before + 1, index))
+                    if frame.is_corrupt or lacks:
                         damage = _damaged(self.path, index)
                     elif frame.key_frame:
                         damage = None
-                    before = index
+                    before, last = index, frame
                     if index == following:
                         if damage is not None and begin is not None and following == start:
                             break  # of the video, or only of pictures that need what lies before what was sought
@@ -194,7 +201,7 @@ class _Listing:
     keyframes, in the track's own ``unit`` of seconds, the number of its packets, and frames per second.
 
     ``in_coded_order``: the times are those of decoding, as AVI and most of MXF have no others, and frames may be shown
-    in another order.
+    in another order. ``dropped``: the times of frames that have no picture of their own.
     """
 
     times: NDArray[np.int64] | None
@@ -203,6 +210,7 @@ class _Listing:
     unit: float
     stated_fps: float
     in_coded_order: bool = False
+    dropped: frozenset[int] = frozenset()
 
 
 def open_video(path: Path) -> VideoSource:
@@ -237,7 +245,8 @@ def open_video(path: Path) -> VideoSource:
             count = times.size
             _look_through(path, container, stream, times, keyframes, first)
         shown = shown_as(path, first, stream.index)
-        video = replace(shown, frame_count=count, fps=fps, times=times, keyframes=keyframes)
+        at = [] if times is None else np.searchsorted(times, sorted(listing.dropped)).tolist()
+        video = replace(shown, frame_count=count, fps=fps, times=times, keyframes=keyframes, dropped=frozenset(at))
         video.picture(first, 0)
     return replace(video, warnings=(_warning(colours),) if colours else ())
 
@@ -330,18 +339,31 @@ def _list_packets(path: Path) -> _Listing:
             raise _undecodable(path, "its packets", error) from None
         if is_cut:
             raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
-        # Without times of presentation FFmpeg fills in those of decoding, in AVI a little later ones.
-        guessed = container.format.name == "avi" or all(shown == decoded for shown, decoded, _ in found)
-        reorders = stream.codec_context.has_b_frames
+        reorders, is_avi = stream.codec_context.has_b_frames, container.format.name == "avi"
         unit, stated = float(stream.time_base or 0), float(stream.average_rate or stream.guessed_rate or 0)
     if any(time is None for time, _, _ in found):
         return _Listing(None, np.zeros(0, np.int64), len(found), unit, stated)
-    coded = np.array([time for time, _, _ in found], np.int64)
-    times = np.sort(coded)
+    # Without times of presentation FFmpeg fills in those of decoding; in AVI a little later ones, and wrong ones where
+    # a chunk holds two frames and another one none (XviD's packed bitstream).
+    in_coded_order = reorders and (is_avi or all(shown == decoded for shown, decoded, _ in found))
+    times = np.sort(np.array([time for time, _, _ in found], np.int64))
     keyframes = np.sort(np.array([time for time, _, is_key in found if is_key], np.int64))
     usable = times.size == 1 or bool(times.size and np.diff(times).min() > 0)
-    in_coded_order = guessed and reorders and bool((coded == times).all())
-    return _Listing(times if usable else None, keyframes, len(found), unit, stated, in_coded_order)
+    dropped = _dropped(times) if usable and is_avi and not in_coded_order else frozenset()
+    times = np.sort(np.append(times, np.array(sorted(dropped), np.int64)))
+    return _Listing(times if usable else None, keyframes, len(found), unit, stated, in_coded_order, dropped)
+
+
+def _dropped(times: NDArray[np.int64]) -> frozenset[int]:
+    """The times of frames that the recorder of an AVI dropped: it has an empty chunk for each, and a constant rate.
+
+    None where the ``times`` lie at other distances, or few of the frames are there.
+    """
+    lasting = np.diff(times)
+    usual = int(np.median(lasting)) if lasting.size else 0
+    if not usual or (lasting % usual).any() or lasting.sum() >= 2 * usual * times.size:
+        return frozenset()
+    return frozenset(np.setdiff1d(np.arange(times[0], times[-1], usual), times).tolist())
 
 
 def _look_through(

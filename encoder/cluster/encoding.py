@@ -15,13 +15,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from decogs.codec.digest import digest
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import STREAM, GrowingFile, Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import Rig, open_rig, without_cameras
 
 from ..backends import check_device
-from ..encoding import chosen_settings, files_of_job, wanted_effects
+from ..encoding import chosen_settings, files_of_job, source_of, wanted_effects
+from ..input.imported_keyframe import KeyframeSource
+from ..input.imported_splats import SplatSource
 from ..input.ingest import frame_span
 from ..input.mattes import open_mattes
 from ..input.recordings import is_current
@@ -130,18 +133,27 @@ def _check_resumed(key: Path, job: EncodeJob, take: range, rig: Rig) -> None:
     now: dict[str, Any] = {"frames": take, "holdout": set(job.holdout), "metrics": job.metrics}
     was |= {name: header.settings.get(name) for name in ("seed", "scale")}
     now |= {"seed": job.seed, "scale": job.scale}
+    was["keyframe"], now["keyframe"] = True, _begins_with(source_of(job), base)
     if changed := [name for name in was if was[name] != now[name]]:
         raise UsageError(
             f"{key.parent}: its encode had another `{changed[0]}`; give the same options, or delete its parts"
         )
 
 
+def _begins_with(source: KeyframeSource | SplatSource | None, base: Base) -> bool:
+    """Whether a take's first keyframe can be that of this ``source``; without any, it is none of a file's Gaussians."""
+    if isinstance(source, KeyframeSource):
+        return digest(source.state) == digest(base.source.state)
+    of_file = base.keyframe.header.settings.get("keyframe", {})
+    return of_file == source.document if source is not None else "sha256" not in of_file
+
+
 def _is_part(path: Path, *, of: Path | None = None) -> bool:
     """Whether a part is there; raises UsageError for what is no part, or none of the same take as the part ``of``."""
     if not os.path.lexists(path):
         return False
-    part = _part_at(path).part
-    if of is not None and (problem := part.difference(_part_at(of).part)):
+    base = _part_at(path)
+    if of is not None and (problem := base.difference(_part_at(of))):
         raise UsageError(f"{path}: it does not belong to {of}: {problem}; move it away, or delete it")
     return True
 

@@ -15,7 +15,7 @@ from decogs.formats.regular_files import open_regular
 
 from ..analysis import AUTO, EFFECT_NAMES, EffectChoice, disable, with_effects
 from ..input.imported_keyframe import KeyframeSource
-from ..output.resume import Interrupted, difference_of
+from ..output.resume import Interrupted, difference_of, difference_of_headers
 from ..settings.effects import CorrectionSettings
 from ..settings.encode import EncodeSettings
 from ..settings.reading import read_settings
@@ -47,6 +47,18 @@ class Base:
         """The first keyframe's Gaussians; raises StreamError for a damaged one."""
         header = self.keyframe.header
         return KeyframeSource(self.keyframe.path, header, reconstruct(None, self.packet, header))
+
+    def difference(self, other: Base) -> str:
+        """What makes two parts belong to different encodes: a few words; empty if nothing does."""
+        if problem := self.part.difference(other.part):
+            return problem
+        mine, others = self.keyframe, other.keyframe
+        if problem := difference_of(mine.header.settings, others.header.settings, "the other one has"):
+            return f"it {problem}"
+        if self.packet.payload != other.packet.payload:
+            return "it starts from another first keyframe"
+        problem = difference_of_headers(mine.header_payload, others.header_payload, "the other one has")
+        return problem and f"it {problem}"
 
     def check(self, part: Part) -> None:
         """Raises UsageError unless ``part`` is of the same take, from the same input, made with the same releases."""
