@@ -12,7 +12,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar, Protocol
 
@@ -99,8 +98,9 @@ class Charuco:
 
     def found(self, grey: U8) -> Corners | None:
         """The corners that a picture (H, W) shows, whichever part of the board is in it."""
-        corners, numbers, _, _ = self._detector.detectBoard(grey)
-        return None if numbers is None else (numbers.ravel().astype(np.int64), corners.reshape(-1, 2))
+        # A detector for each call takes microseconds, and none is shared by threads.
+        corners, numbers, _, _ = cv2.aruco.CharucoDetector(self.made()).detectBoard(grey)
+        return None if numbers is None else (numbers.ravel().astype(np.int64), np.asarray(corners.reshape(-1, 2)))
 
     def why_unseen(self, pictures: Iterable[U8]) -> str:
         """Whether the pictures show its markers elsewhere on a board, or those of another dictionary, or none."""
@@ -123,10 +123,6 @@ class Charuco:
         words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
         numbers = cv2.aruco.ArucoDetector(words).detectMarkers(grey)[1]
         return 0 if numbers is None else len({n for n in numbers.ravel().tolist() if n < self.columns * self.rows // 2})
-
-    @cached_property
-    def _detector(self) -> Any:
-        return cv2.aruco.CharucoDetector(self.made())
 
     def made(self) -> Any:
         """OpenCV's board."""
@@ -255,6 +251,11 @@ class BoardFinder:
     def __init__(self, board: Board) -> None:
         self.board = board
         self._prints = list(product(board.patterns(), (False, True)))
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it has seen the board."""
+        return len(self._prints) == 1
 
     def __call__(self, picture: U8) -> BoardView | None:
         """The board in a picture (H, W, 3); None where fewer than 6 of its corners are found."""

@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ..parallel import Each
 from .features import F64, Features, features_of, matched, sift_extractor
 from .footage import Footage, instants_of, pictures_at
 from .given import CERTAIN, Given
@@ -44,6 +45,7 @@ def place_by_motion(
     seed: int,
     shared: bool,
     given: Given | None,
+    each: Each,
     on_step: OnStep,
 ) -> Calibration:
     """Cameras placed by structure from motion; the mean distance of two is 1. ``shared``: of one size, of one lens.
@@ -51,14 +53,15 @@ def place_by_motion(
     Raises UsageError where pictures contradict given lenses.
     """
     require_pycolmap()
-    instants, extractor = instants_of(footage, frames or _INSTANTS), sift_extractor()
+    instants = instants_of(footage, frames or _INSTANTS)
     total = len(footage) + 4
     features = []
-    for number, camera in enumerate(footage):
-        features.append(features_of(list(pictures_at(camera, instants)), extractor))
-        on_step(number + 1, total)
-    pairs = combinations(range(len(footage)), 2)
-    matches = split(features, {(a, b): matched(features[a], features[b]) for a, b in pairs})
+    for own in each(lambda camera: features_of(list(pictures_at(camera, instants)), sift_extractor()), footage):
+        features.append(own)
+        on_step(len(features), total)
+    pairs = list(combinations(range(len(footage)), 2))
+    found_matches = each(lambda pair: matched(*(features[number] for number in pair)), pairs)
+    matches = split(features, dict(zip(pairs, found_matches, strict=True)))
     start = Matched([one.name for one in footage], [one.size for one in footage], features, matches, shared, given)
     ways = iter(range(len(footage) + 1, total + 1))
     mapped, found = believed(start, footage, seed, lambda: on_step(next(ways), total))
@@ -72,7 +75,7 @@ def place_by_motion(
         if found.placed and one.name in found.not_connected:
             pictures = [np.ascontiguousarray(picture[:, ::-1]) for picture in pictures_at(one, instants)]
             others = [*features[:number], *features[number + 1 :]]
-            if is_mirrored(features[number], features_of(pictures, extractor), others):
+            if is_mirrored(features[number], features_of(pictures, sift_extractor()), others):
                 words[one.name] = "fits the others when it is mirrored; turn the video left to right"
     return _explained(found, words)
 

@@ -19,7 +19,9 @@ from ..synchronisation.sync_file import read_starts
 from .footage import Footage
 
 
-def brought_in_step(videos: Path, footage: Sequence[Footage], sync: str) -> tuple[tuple[Footage, ...], tuple[str, ...]]:
+def brought_in_step(
+    videos: Path, footage: Sequence[Footage], sync: str, threads: int
+) -> tuple[tuple[Footage, ...], tuple[str, ...]]:
     """The footage from the same instant on, with its starts, and what the user should know.
 
     ``sync``: AUTO, or the path of a sync.json. Raises RigError as `decogs.formats.rigs.steps`.
@@ -27,7 +29,7 @@ def brought_in_step(videos: Path, footage: Sequence[Footage], sync: str) -> tupl
     rig = _without_poses(videos, footage)
     warnings: tuple[str, ...] = ()
     if sync == AUTO:
-        found = find_starts_without_poses(rig)
+        found = find_starts_without_poses(rig, threads=threads)
         starts, warnings = found.starts, found.warnings
     else:
         starts = read_starts(Path(sync), rig)

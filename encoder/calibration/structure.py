@@ -20,6 +20,7 @@ import numpy as np
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
+from decogs.formats.extras import install
 from decogs.formats.rigs.colmap import lens_parameters
 
 from .certainty import focal_deviations
@@ -100,7 +101,7 @@ def require_pycolmap() -> Any:
         import pycolmap
     except ImportError:
         raise UsageError(
-            "without a board, cameras are placed by pycolmap, which is not installed: pip install 'decogs[calibrate]'"
+            f"without a board, cameras are placed by pycolmap, which is not installed: {install('calibrate')}"
         ) from None
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, on_termination)  # pycolmap's prints a stack trace and leaves everything lying

@@ -19,6 +19,7 @@ from decogs.encoder.calibration.board_rig import BoardRig
 from decogs.encoder.calibration.boards import BoardView, parse_board
 from decogs.encoder.calibration.commands import calibrate_main
 from decogs.encoder.calibration.lenses import Lens, focal_deviation
+from decogs.formats.extras import install
 from decogs.formats.rigs import open_rig
 
 CORNERS = parse_board("charuco:5x4:0.05:0.0375:DICT_4X4_50").corners()
@@ -73,7 +74,7 @@ def test_without_pycolmap_the_command_says_what_to_install(
     _write_pictures(tmp_path / "videos", ["a", "b", "c"])
     monkeypatch.setattr(builtins, "__import__", without)
     assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
-    assert "pip install 'decogs[calibrate]'" in capsys.readouterr().err
+    assert install("calibrate") in capsys.readouterr().err
     assert not (tmp_path / "rig").exists()
 
 
