@@ -62,7 +62,7 @@ class FrameInput:
     them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view,
     colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
     displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``free``: the frame's
-    empty space, where it is known.
+    empty space, where it is known. ``relit``: light has changed more than steps follow.
     """
 
     index: int
@@ -75,6 +75,7 @@ class FrameInput:
     settings: FrameSettings
     stopping: StoppingRule = WHOLE
     free: FreeSpace | None = None
+    relit: bool = False
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from dataclasses import replace
 from ...training.frame_training import LossOfView, frame_training
 from ...training.losses import focus_loss
 from ...training.method import FrameInput, TrainedFrame, TrainingContext
+from ...training.relighting import relight
 from ...training.schedule import StepSchedule, seconds_at_least
 from ...training.selective_densification import densify
 from ...training.working_set import WorkingSet
@@ -59,6 +60,8 @@ class PaperTrainer:
         training = frame_training(self.context, frame, self._loss)
         sample = training.used[::3]
         before = training.squared_error(sample)
+        if frame.relit:
+            relight(training, work)
         cache.restart()
         cache.place(work.values.means, work.values.quaternions)
         gathered = train_cache(training, work, cache, self.cache_iterations)
