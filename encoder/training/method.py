@@ -140,7 +140,8 @@ def training_context(
 ) -> TrainingContext:
     """The context of a stream that begins with ``keyframe``. The box holds 98 % of its Gaussians and a tenth more."""
     low, high = np.percentile(keyframe.means.astype(np.float64), [1, 99], axis=0)
-    margin = 0.1 * (high - low) + 1e-6
+    extent = scene_extent(views) or 1.0
+    margin = 0.1 * (high - low) + 1e-6 * extent
     return TrainingContext(
         kernel,
         views,
@@ -148,7 +149,7 @@ def training_context(
         settings,
         population=len(keyframe),
         max_gaussians=round(MAX_GROWTH * len(keyframe)),
-        extent=scene_extent(views) or 1.0,
+        extent=extent,
         box=(low - margin, high + margin),
         seed=seed,
         threads=max(1, threads),

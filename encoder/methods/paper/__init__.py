@@ -46,7 +46,9 @@ class PaperTrainer:
         self.min_seconds = 0.0
         # Of frames that light alone changes: a cache would move what stands.
         self._still = DecogsTrainer(context, loss=loss)
-        self._cache = TransformationCache(*context.box, cache, context.seed, threads=context.threads)
+        self._cache = TransformationCache(
+            *context.box, cache, context.seed, extent=context.extent, threads=context.threads
+        )
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains S_t; diverged training changes nothing. A deadline ends either stage early, a target stage 2."""
