@@ -296,7 +296,7 @@ def _export_splats(plan: _Plan, stream: AnyStream, chosen: range, names: list[Pa
     settings = {} if plan.spz_version is None else {"version": plan.spz_version}
     form = splat_formats()[plan.suffix](compensated=True, **settings)
     similarity, up = _similarity(plan, stream.header, form.up)
-    form = _fitted(form, plan, _extremes(plan, stream, chosen, similarity))
+    form = _fitted(form, plan, _extremes(plan, stream, chosen, similarity, form))
     size = 0
     files = _files(form, plan, stream, chosen, similarity)
     if not isinstance(plan.output, Path):
@@ -326,19 +326,21 @@ def _fitted(form: SplatFormat, plan: _Plan, extremes: Extremes) -> SplatFormat:
     return form
 
 
-def _extremes(plan: _Plan, stream: AnyStream, chosen: range, similarity: Similarity) -> Extremes:
+def _extremes(plan: _Plan, stream: AnyStream, chosen: range, similarity: Similarity, form: SplatFormat) -> Extremes:
     """First reading: what the format has to hold. Raises UsageError for a value that is not finite."""
     extremes, before = Extremes(2**63, 0, 0.0, stream.header.sh_degree), None
     for done, frame in enumerate(stream.frames(chosen.start, chosen.stop), start=1):
         if frame.splats is not before:
-            extremes = _with(extremes, transformed_splats(frame.splats, similarity), frame.index)
+            extremes = _with(extremes, transformed_splats(frame.splats, similarity), frame.index, form)
             before = frame.splats
         if plan.on_frame is not None:
             plan.on_frame(done, 2 * len(chosen))
     return extremes
 
 
-def _with(extremes: Extremes, splats: Splats, frame: int) -> Extremes:
+def _with(extremes: Extremes, splats: Splats, frame: int, form: SplatFormat) -> Extremes:
+    least, most = form.log_scales
+    outside = (splats.log_scales < least) | (splats.log_scales > most)
     for name, values in vars(splats).items():
         if not np.isfinite(values).all():
             raise UsageError(f"frame {frame}: {name} of a Gaussian are not finite; choose another `scale_to_metres`")
@@ -347,6 +349,7 @@ def _with(extremes: Extremes, splats: Splats, frame: int) -> Extremes:
         max(extremes.largest, len(splats)),
         max(extremes.farthest, float(np.abs(splats.means).max(initial=0))),
         extremes.sh_degree,
+        max(extremes.clamped, int(outside.any(axis=1).sum())),
     )
 
 

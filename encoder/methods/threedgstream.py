@@ -74,7 +74,9 @@ class BaselineTrainer:
         self._kernel, self._views, self._config = context.kernel, context.views, config
         self._population, self._extent, self._box = context.population, context.extent, context.box
         self._seed = context.seed
-        self._cache = TransformationCache(*self._box, config.cache, self._seed, threads=context.threads)
+        self._cache = TransformationCache(
+            *self._box, config.cache, self._seed, extent=self._extent, threads=context.threads
+        )
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains all Gaussians; S_t, masks, motion, the frame's settings and an early end have no part in it."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..colour import linear_from_srgb
 from ..errors import UsageError
 from ..splats import SH_C0, Splats, sh_degree_of
-from . import Extremes, needs_gaussians
+from . import ANY_SIZE, Extremes, needs_gaussians
 from .quantised import logits, opacities, unit_rotations
 
 _GLB, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
@@ -36,6 +36,7 @@ class Glb:
     compensated: bool = False
     suffix: ClassVar[str] = ".glb"
     up: ClassVar[Literal["Y", "-Y"]] = "Y"
+    log_scales: ClassVar[tuple[float, float]] = ANY_SIZE
 
     def fitted(self, extremes: Extremes) -> tuple[Glb, list[str]]:
         needs_gaussians(extremes, self.suffix)

@@ -214,6 +214,15 @@ def test_the_version_of_spz(small_stream: Any, tmp_path: Path) -> None:
         assert (tmp_path / "a.spz").read_bytes().startswith(start)
 
 
+@pytest.mark.parametrize(("metres", "fault"), [("1e-3", "sizes of"), ("1", ""), ("1e5", "sizes of")])
+def test_sizes_that_spz_clamps_are_said(
+    small_stream: Any, tmp_path: Path, capsys: Any, metres: str, fault: str
+) -> None:
+    arguments = ["-o", str(tmp_path / "a.spz"), "--frames", ":1", "--scale-to-metres", metres]
+    assert export_main([str(small_stream.path), *arguments]) == 0
+    assert (fault in capsys.readouterr().err) if fault else not capsys.readouterr().err
+
+
 class Piped(io.BytesIO):
     """A pipe that takes seven bytes at a time."""
 
