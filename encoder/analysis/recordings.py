@@ -47,10 +47,14 @@ _HANGS = 5
 
 @dataclass(frozen=True)
 class Recordings:
-    """Pictures, (cameras, F), that show nothing of their moment: ``blank``, and ``repeats`` of the one before."""
+    """Pictures, (cameras, F), that show nothing of their moment: ``blank``, and ``repeats`` of the one before.
+
+    ``unread``: those that cannot be read, in whose place there is the one before.
+    """
 
     blank: BoolArray
     repeats: BoolArray
+    unread: BoolArray
 
     def dead(self, camera: int) -> BoolArray:
         """Which pictures (F,) of a camera show nothing, in a long row."""
@@ -67,12 +71,12 @@ class Recordings:
 
     def without_lost(self, noise: F64) -> F64:
         """The ``noise`` (cameras, F) between pictures and those before them, NaN where one of the two is lost."""
-        lost = self.blank | self.repeats
+        lost = self.blank | self.repeats | self.unread
         return np.asarray(np.where(lost | np.roll(self.blank, 1, axis=1), np.nan, noise))
 
 
-def find_lost(pictures: Sequence[U8]) -> Recordings:
-    """The lost ones among the cameras' ``pictures``, (F, H, W, 3) each.
+def find_lost(pictures: Sequence[U8], unread: BoolArray | None = None) -> Recordings:
+    """The lost ones among the cameras' ``pictures``, (F, H, W, 3) each; ``unread`` (cameras, F) are no repeats.
 
     What most cameras show in a frame is no loss: a room without light is black.
     """
@@ -89,7 +93,8 @@ def find_lost(pictures: Sequence[U8]) -> Recordings:
             usual = np.inf if stands else float(np.quantile(own, _OWN_QUANTILE))
             quiet = changes[camera] < np.minimum(_MAX_CHANGE_SHARE * others, _MAX_OWN_SHARE * usual)
             repeats[camera] = quiet & (others >= _MIN_OTHERS_LEVELS)
-    return Recordings(blank, repeats)
+    unread = np.zeros_like(blank) if unread is None else unread
+    return Recordings(blank & ~unread, repeats & ~unread, unread)
 
 
 def detail(picture: Picture) -> F64:

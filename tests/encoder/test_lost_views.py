@@ -16,7 +16,8 @@ import OpenEXR
 import pytest
 
 from decogs.encoder import EncodeReport, MatteChoice, join
-from decogs.encoder.analysis.rig_statistics import gather_statistics
+from decogs.encoder.analysis.analyse import analyse
+from decogs.encoder.analysis.faults import DAMAGED, DROPPED, FROZEN
 from decogs.encoder.methods.threedgstream import BaselineTrainer
 from decogs.encoder.output.reports import FrameReport, left_out_warnings
 from decogs.formats.errors import RigError
@@ -330,5 +331,9 @@ def report(frame: int, dropped: dict[str, str]) -> FrameReport:
 
 def test_an_analysis_names_the_camera_and_frame(rig: Path) -> None:
     shorten(of(rig, CAMERA, FRAME))
-    recordings = gather_statistics(open_rig(rig)).recordings
-    assert np.argwhere(recordings.repeats).tolist() == [[1, FRAME]]
+    check = analyse(open_rig(rig)).check
+    faults = [fault for camera in check.cameras for fault in camera.faults if fault.word in (DAMAGED, FROZEN, DROPPED)]
+    assert [(fault.camera, fault.word, fault.looks) for fault in faults] == [
+        (CAMERA, DAMAGED, "has no picture in frame 1")
+    ]
+    assert "cam01/0001.png: the PNG file is truncated" in str(faults[0])
