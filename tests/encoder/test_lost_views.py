@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from collections.abc import Callable
@@ -264,6 +265,7 @@ def test_a_frame_without_any_picture_repeats_the_one_before(rig: Path, encoded: 
         assert len(warnings) == len(list(rig.glob("cam*")))
         assert [frame.kind for frame in report.frames] == ["key", "skip", *(frame.kind for frame in report.frames[2:])]
         assert report.frames[FRAME].held_out_psnr is None
+        assert math.isfinite(report.frames[FRAME].training_psnr)
         assert report.frames[3].effects or method == "3dgstream"
 
 
