@@ -23,7 +23,8 @@ from decogs.formats.frame_names import is_numbered, names_of_frames
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.length_units import metres_of
 from decogs.formats.openusd import load_openusd
-from decogs.formats.outputs import Output, check_outputs, errors_named, staged_files
+from decogs.formats.outputs import Output, check_outputs, errors_named, files_read, staged_files
+from decogs.formats.regular_files import open_regular
 from decogs.formats.similarity import Similarity, transformed_splats
 from decogs.formats.splat_files import Extremes, SplatFormat, splat_formats
 from decogs.formats.splat_files.spz import SpzVersion
@@ -144,11 +145,13 @@ def export(
         names = _names(target, suffix, numbers)
         outputs = [Output("output", name) for name in names] or [Output("output", target)]
         shown: AnyStream = opened
+        read = files_read(stream=stream)
         if subject is not None:
             from .subject import SubjectOfStream
 
             shown = SubjectOfStream(opened, Path(subject), chosen, on_warning)
-        check_outputs(outputs, [(Path(stream), "is read, as `stream`")])
+            read += shown.files_read()
+        check_outputs(outputs, read)
         if suffix in USD_SUFFIXES:
             return _export_usd(plan, shown, chosen, Path(stream))
         return _export_splats(plan, shown, chosen, names)
@@ -223,7 +226,7 @@ def _asset(source: Path) -> tuple[str, str]:
     The same stream is the same version, and one that was encoded again is another.
     """
     digest = hashlib.sha256()
-    with source.open("rb") as file:
+    with open_regular(source) as file:
         while chunk := file.read(_CHUNK):
             digest.update(chunk)
     # A name need not be text that USD can hold.

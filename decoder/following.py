@@ -31,6 +31,7 @@ from decogs.formats.container import (
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import is_left_over, part_of
 from decogs.formats.reasons import Reason
+from decogs.formats.regular_files import open_regular
 from decogs.formats.survey import check_lost, check_places, next_past_damage, past_unfinished
 
 from .damage import Concealment, Damage, OnDamage, errors_name
@@ -298,7 +299,7 @@ def open_growing(path: Path) -> BinaryIO:
     """
     growing = part_of(path)
     left_over = path.exists() and is_left_over(growing)
-    return open(growing if growing.exists() and not left_over else path, "rb", buffering=0)
+    return open_regular(growing if growing.exists() and not left_over else path, buffering=0)
 
 
 def _opened(path: Path, idle: float) -> BinaryIO:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 from collections.abc import Iterator
@@ -9,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
+from typing import BinaryIO
 
 from decogs.codec.frame_payload import split_payload
 from decogs.codec.header import StreamHeader
@@ -28,6 +30,7 @@ from decogs.formats.container import (
 )
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
+from decogs.formats.regular_files import Unchanged, open_regular
 from decogs.formats.similarity import transformed_camera
 from decogs.formats.survey import Survey, search, survey
 
@@ -58,15 +61,12 @@ class Stream:
     ) -> None:
         self.path = path
         self._concealment = Concealment(path, strict=strict, on_damage=on_damage)
-        self._file = open(path, "rb")  # noqa: SIM115 (closed by __exit__)
+        self._file = _opened(path)
+        self._unchanged = Unchanged(self._file, path)
         self._max_memory, self._max_payload = max_memory, payload_within(max_memory)
         self._max_frames = frames_within(max_memory)
         self._limits = {self._max_payload, self._max_frames} - {MAX_PAYLOAD}
         with self._closed_on_error(), self._errors_named():
-            if not self._file.seekable():
-                raise UsageError(
-                    f"{path}: cannot be seeked, as a pipe; decode it with - for stdin, or write it to a file first"
-                )
             reader = self._reader(0)
             self.stored_header = read_header(reader.next(), reader.offset)
             self.header = in_its_world(self.stored_header)
@@ -74,6 +74,7 @@ class Stream:
             self._survey = self._surveyed()
             self._scanned: Survey | None = None
             self.complete, self.unfinished_bytes = self._survey.complete, self._survey.unfinished_bytes
+            self._unchanged.grows = not self.complete
             if strict and self.unfinished_bytes:
                 raise stops_inside(self.unfinished_bytes, self.file_bytes - self.unfinished_bytes)
             self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, max_gaussians)
@@ -140,7 +141,8 @@ class Stream:
         self._check_open()
         for frame in range(start, self.frame_count if stop is None else stop):
             with self._errors_named():
-                yield self._sound_of(frame)
+                sound = self._sound_of(frame)
+            yield sound
 
     def _sound_of(self, frame: int) -> FrameSound:
         entry, after = self._survey.entry(frame), self._survey.entry(frame + 1)
@@ -274,8 +276,12 @@ class Stream:
 
     @contextmanager
     def _errors_named(self) -> Iterator[None]:
-        with errors_name(self.path), limits_explained(self._max_memory, self._limits):
-            yield
+        """Also in the face of what is wrong only because the file changed."""
+        try:
+            with errors_name(self.path), limits_explained(self._max_memory, self._limits):
+                yield
+        finally:
+            self._unchanged.check()
 
     def _check_open(self) -> None:
         if self._file.closed:
@@ -314,6 +320,17 @@ def open_stream(
         max_gaussians=max_gaussians,
         max_memory=max_memory,
     )
+
+
+def _opened(path: Path) -> BinaryIO:
+    try:
+        return open_regular(path)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+        raise UsageError(
+            f"{path}: is no regular file; decode a pipe with - for stdin, or write it to a file first"
+        ) from None
 
 
 def read_header(packet: Packet | None, offset: int) -> StreamHeader:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from decogs.formats.command_line import (
     Parser,
     counted,
+    frame_rate,
     in_option_names,
     number,
     number_of_bytes,
@@ -263,7 +264,7 @@ def pack_parser() -> Parser:
         "files", metavar="NAME_####.PLY", help="the files' names, with ####, %%04d or $F4 for the number"
     )
     parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
-    parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: not stated)")
+    parser.add_argument("--fps", type=frame_rate, metavar="F", help="frames per second (default: not stated)")
     exactness = parser.add_mutually_exclusive_group()
     exactness.add_argument(
         "--quality",

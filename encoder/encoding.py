@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.outputs import JSON, STREAM, Output, check_outputs, files_read
 from decogs.formats.rigs import Rig, files_of, open_rig, stop_waiting, without_cameras
 from decogs.formats.threads import thread_count
 
@@ -26,7 +26,7 @@ from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, check_held_out, frame_span
 from .input.matte_checks import check_mattes
-from .input.mattes import Mattes, open_mattes
+from .input.mattes import Mattes, files_of_mattes, open_mattes
 from .input.sound import SoundSource, sound_source
 from .job import EncodeJob
 from .memory_limit import EncodeMemory, memory_within
@@ -162,7 +162,7 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     ingest = Ingest(rig, holdout=job.holdout, scale=job.scale, mattes=mattes)
     output = Path(job.output) if isinstance(job.output, (str, os.PathLike)) else job.output
     sound = sound_source(job.audio, rig, span.start, warn)
-    _check_outputs(job, output, rig, mattes, sound, reads_keyframe=base is not None or source is not None)
+    _check_outputs(job, output, rig, mattes)
     if ingest.has_mattes:
         first = next(ingest.frames(span.start, span.start + 1))
         check_mattes(ingest, first, warn)
@@ -210,23 +210,18 @@ def _facts(job: EncodeJob, work: _Work, ingest: Ingest, settings: EncodeSettings
     }
 
 
-def _check_outputs(
-    job: EncodeJob,
-    stream: Path | BinaryIO,
-    rig: Rig,
-    mattes: Mattes | None,
-    sound: SoundSource | None,
-    *,
-    reads_keyframe: bool,
-) -> None:
+def _check_outputs(job: EncodeJob, stream: Path | BinaryIO, rig: Rig, mattes: Mattes | None) -> None:
     """Raises UsageError when the encode would write over something it reads, or twice into one file."""
-    outputs = [Output("output", stream, grows=True)]
+    outputs = [Output("output", stream, grows=True, format=STREAM)]
     logs = {"log": job.log, "convergence_log": job.convergence_log}
-    outputs += [Output(name, Path(path)) for name, path in logs.items() if path is not None]
-    read = [(Path(job.keyframe), "is read, as `keyframe`")] if job.keyframe is not None and reads_keyframe else []
-    read += [(file, "is a matte or a plate of the rig") for file in (() if mattes is None else mattes.files)]
-    read += [] if sound is None else [(sound.path, "is read, as `audio`")]
-    check_outputs(outputs, [*files_of(rig), *read])
+    outputs += [Output(name, Path(path), format=JSON) for name, path in logs.items() if path is not None]
+    check_outputs(outputs, files_of_job(job, rig, mattes))
+
+
+def files_of_job(job: EncodeJob, rig: Rig, mattes: Mattes | None) -> list[tuple[Path, str]]:
+    """Every file that an encode reads, and what it is called."""
+    read = files_read(keyframe=job.keyframe, audio=job.audio)
+    return [*files_of(rig), *files_of_mattes(mattes), *read]
 
 
 def _base(settings: EncodeSettings, job: EncodeJob) -> Base | None:

@@ -22,6 +22,7 @@ from typing import Any, BinaryIO, NoReturn
 from .callbacks import OnProgress
 from .errors import DecogsError, TryAgainError, UsageError
 from .extras import what_to_install
+from .frame_rates import read_rate
 from .operating_systems import ENDING_SIGNALS
 from .progress import open_progress
 
@@ -335,6 +336,14 @@ def number(text: str) -> float:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"{text!r} is no number")
+
+
+def frame_rate(text: str) -> float:
+    """An option's frames per second, also as a fraction; ArgumentTypeError for anything else."""
+    rate = read_rate(text)
+    if rate is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no rate; write frames per second: 25, 29.97, 30000/1001")
+    return rate
 
 
 def vector(text: str) -> tuple[float, float, float]:

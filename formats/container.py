@@ -216,7 +216,12 @@ class PacketReader:
         kind, critical, frame, length = self._packet_header()
         if not self._fill(PACKET_OVERHEAD + length):
             return None
-        packet = Packet(kind, frame, self._payload(length), critical, self._ordinal, self._offset)
+        try:
+            payload = self._payload(length)
+        except StreamError as error:
+            error.sound_of = frame if kind == PacketKind.SOUND else None
+            raise
+        packet = Packet(kind, frame, payload, critical, self._ordinal, self._offset)
         self._check_place(packet)
         self._consume(packet.size)
         if self._ordinal is not None:

@@ -24,6 +24,7 @@ from av.sidedata.sidedata import Type as SideData
 from av.stream import Disposition
 from numpy.typing import NDArray
 
+from .clean_aperture import NO_EDGES, Edges, edges_of_track
 from .errors import RigError
 from .pictures import MAX_PIXELS, Picture
 from .splats import FloatArray
@@ -74,7 +75,8 @@ class VideoSource:
     Width and height in pixels, as shown; fps None if the file does not say. ``times``: presentation time of every frame
     in the track's own unit, (frame_count,) int64, or None if the container has no usable times; ``keyframes``: those of
     frames that decoding can begin with, their numbers where there are no times. ``dropped``: frames that repeat the one
-    before. ``turn``: see ``_turn``. ``warnings``: what shows in its pictures.
+    before. ``edges``: pixels of the decoded frames that are not shown. ``turn``: see ``_turn``, after that.
+    ``warnings``: what shows in its pictures.
     """
 
     path: Path
@@ -86,6 +88,7 @@ class VideoSource:
     keyframes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64), repr=False, compare=False)
     dropped: frozenset[int] = field(default=frozenset(), repr=False)
     siting: Siting = (True, False)
+    edges: Edges = NO_EDGES
     turn: tuple[int, int, int, int] = (1, 0, 0, 1)
     warnings: tuple[str, ...] = ()
 
@@ -178,13 +181,23 @@ class VideoSource:
 
     def picture(self, frame: VideoFrame, index: int) -> NDArray[np.uint8]:
         """A decoded frame as it is shown. Raises RigError for one that is interlaced, damaged or of another size."""
-        _check_kind(self.path, frame, index, (self.width, self.height) if self.turn[0] else (self.height, self.width))
+        left, top, right, bottom = self.edges
+        width, height = (self.width, self.height) if self.turn[0] else (self.height, self.width)
+        _check_kind(self.path, frame, index, (left + width + right, top + height + bottom))
         if frame.is_corrupt:
             raise _damaged(self.path, index)
         try:
-            return _turned(to_rgb(frame, self.siting), self.turn)
+            whole = to_rgb(frame, self.siting)
+            return _turned(whole[top : top + height, left : left + width], self.turn)
         except (ValueError, av.FFmpegError) as error:
             raise RigError(f"{self.path}: colours coded as {error} are not read; convert it to BT.709") from None
+
+    def whole(self) -> VideoSource:
+        """The same frames with their edges."""
+        across, down = self.edges[0] + self.edges[2], self.edges[1] + self.edges[3]
+        if not self.turn[0]:
+            across, down = down, across
+        return replace(self, width=self.width + across, height=self.height + down, edges=NO_EDGES)
 
 
 @dataclass(frozen=True)
@@ -236,19 +249,20 @@ def open_video(path: Path) -> VideoSource:
         else:
             count = times.size
             _look_through(path, container, stream, times, keyframes, first)
+        shown = shown_as(path, first, stream.index)
         at = [] if times is None else np.searchsorted(times, sorted(listing.dropped)).tolist()
-        video = replace(
-            shown_as(path, first), frame_count=count, fps=fps, times=times, keyframes=keyframes, dropped=frozenset(at)
-        )
+        video = replace(shown, frame_count=count, fps=fps, times=times, keyframes=keyframes, dropped=frozenset(at))
         video.picture(first, 0)
     return replace(video, warnings=(_warning(colours),) if colours else ())
 
 
-def shown_as(path: Path, first: VideoFrame) -> VideoSource:
-    """How a video's frames are shown, by its first one: size, turn, siting; its frames are not known."""
-    turn = _turn(path, first)
-    width, height = (first.width, first.height) if turn[0] else (first.height, first.width)
-    return VideoSource(path, width, height, 0, None, siting=chroma_siting(first), turn=turn)
+def shown_as(path: Path, first: VideoFrame, track: int = 0) -> VideoSource:
+    """How a video's frames are shown, by its first one: size, turn, edges, siting; its frames are not known."""
+    turn, edges = _turn(path, first), edges_of_track(path, track, (first.width, first.height))
+    width, height = first.width - edges[0] - edges[2], first.height - edges[1] - edges[3]
+    if not turn[0]:
+        width, height = height, width
+    return VideoSource(path, width, height, 0, None, siting=chroma_siting(first), edges=edges, turn=turn)
 
 
 def _warning(colours: str) -> str:

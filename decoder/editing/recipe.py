@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import shlex
 from collections.abc import Sequence
@@ -54,7 +55,7 @@ def parse_operations(words: Sequence[str]) -> list[Operation]:
     return [parse_operation(words[a:b]) for a, b in pairwise([*begins, len(words)])]
 
 
-def read_recipe(path: str | Path) -> list[Operation]:
+def read_recipe(path: str | os.PathLike[str]) -> list[Operation]:
     """The operations that a TOML file lists: ``operations = ["trim 0:48", "set --title 'Take 3'"]``, a line each.
 
     Raises UsageError, which names the file, for anything else.
@@ -68,7 +69,7 @@ def read_recipe(path: str | Path) -> list[Operation]:
     return [_parse_line(line, path) for line in lines]
 
 
-def _parse_line(line: str, path: str | Path) -> Operation:
+def _parse_line(line: str, path: str | os.PathLike[str]) -> Operation:
     try:
         return parse_operation(shlex.split(line))
     except (UsageError, ValueError) as error:  # shlex: a quotation without an end

@@ -44,19 +44,22 @@ def from_frame(take: Take, start: int) -> Hear:
 def _beginning(take: Take, start: int, fps: float) -> FrameSound:
     """The packets of frame ``start`` with the blocks before it that are heard in it or make the decoder right."""
     runs: dict[int, list[tuple[int, bytes]]] = {}
-    first, place = max(0, start - frames_before(fps)), frame_start(start, fps)
+    ends: dict[int, int] = {}
+    first, place, stop = max(0, start - frames_before(fps)), frame_start(start, fps), frame_start(start + 1, fps)
     for frame, packets in enumerate(take.hear(first, start + 1), start=first):
         for packet in packets:
             at = frame_start(frame, fps) + packet.offset
             run = runs.setdefault(packet.track, [])
-            if run and abs(run[-1][0] + BLOCK - at) > CONTINUES:
+            if abs(ends.get(packet.track, at) - at) > CONTINUES:
                 run.clear()
-            run += [(at + number * BLOCK, block) for number, block in enumerate(packet.blocks)]
+            places = [at + number * BLOCK for number in range(len(packet.blocks))]
+            coming = zip(places, packet.blocks, strict=True)
+            run += [(at, block) for at, block in coming if place - PRE_ROLL - BLOCK < at < stop]
+            ends[packet.track] = places[-1] + BLOCK
     found = []
     for track, run in runs.items():
-        own = [(at, block) for at, block in run if at + BLOCK > place - PRE_ROLL]
-        if own and own[-1][0] + BLOCK > place:
-            found.append(SoundPacket(track, own[0][0] - place, tuple(block for _, block in own)))
+        if run and run[-1][0] + BLOCK > place:
+            found.append(SoundPacket(track, run[0][0] - place, tuple(block for _, block in run)))
     return tuple(found)
 
 

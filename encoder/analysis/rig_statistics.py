@@ -125,7 +125,7 @@ def gather_statistics(
         lights = [steps.count(found) for found in each(light_at, pictures, pixels)]
         light = own_light(points, lights, list(each(light_overall, pictures)))
         paths = [steps.count(path) for path in each(camera_path, pictures)]
-        recordings = find_lost(pictures, unread)
+        recordings = find_lost(pictures, chosen.step, unread)
         moving = tuple(each(moves_through, cameras, pictures, paths))
     return RigStatistics(
         cameras,

@@ -18,14 +18,15 @@ from typing import Any
 from decogs.codec.digest import digest
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import GrowingFile, Output, check_outputs, is_device, write_whole
-from decogs.formats.rigs import Rig, files_of, open_rig
+from decogs.formats.outputs import STREAM, GrowingFile, Output, check_outputs, is_device, write_whole
+from decogs.formats.rigs import Rig, open_rig, without_cameras
 
 from ..backends import check_device
-from ..encoding import chosen_settings, source_of, wanted_effects
+from ..encoding import chosen_settings, files_of_job, source_of, wanted_effects
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import frame_span
+from ..input.mattes import open_mattes
 from ..input.recordings import is_current
 from ..input.sound import AUTO, NONE
 from ..job import EncodeJob, PathLike
@@ -59,9 +60,9 @@ def encode_on_cluster(
     stream, rig = Path(job.output), open_rig(job.rig)
     for warning in rig.warnings:
         _warn(on_warning, warning)
-    read = [] if job.keyframe is None else [(Path(job.keyframe), "is read, as `keyframe`")]
-    check_outputs([Output("output", stream, grows=True)], [*files_of(rig), *read])
     take = frame_span(rig, job.frames)
+    mattes = open_mattes(job.mattes, without_cameras(rig, job.exclude), take, job.holdout)
+    check_outputs([Output("output", stream, grows=True, format=STREAM)], files_of_job(job, rig, mattes))
     task = replace(
         job,
         rig=os.fspath(rig.path.absolute()),

@@ -145,6 +145,11 @@ class Ingest:
         """Whether frames come with alpha."""
         return self._mattes.cuts
 
+    @property
+    def matte_warnings(self) -> tuple[str, ...]:
+        """What the user should know of the mattes' files, a line each."""
+        return () if self._mattes.rig is None else self._mattes.rig.warnings
+
     def matte_place(self, name: str, frame: int) -> str:
         """Where the matte of a camera and frame comes from, for a message."""
         return self._mattes.place(name, frame)

@@ -26,6 +26,7 @@ from decogs.formats.container import (
     read_packet_at,
 )
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.regular_files import open_regular
 
 from ..input.recordings import difference
 from ..settings.encode import EncodeSettings
@@ -151,7 +152,7 @@ def check_resumable(settings: EncodeSettings) -> None:
 def _read(path: Path) -> Interrupted | None:
     entries: list[IndexEntry] = []
     header, size, ended, kept, last = b"", 0, False, False, False
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         reader = PacketReader(file)
         try:
             while (packet := reader.next()) is not None:

@@ -11,6 +11,7 @@ from decogs.codec.reconstruct import reconstruct
 from decogs.formats.container import FRAME_KINDS, IndexEntry, Packet, PacketKind, PacketReader
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
+from decogs.formats.regular_files import open_regular
 
 from ..analysis import AUTO, EFFECT_NAMES, EffectChoice, disable, with_effects
 from ..input.imported_keyframe import KeyframeSource
@@ -107,7 +108,7 @@ def read_base(path: Path) -> Base | None:
 
 def _header_and_keyframe(path: Path) -> tuple[StreamHeader, Packet]:
     header = None
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         reader = PacketReader(file)
         while (packet := reader.next()) is not None:
             if packet.kind == PacketKind.HEADER:

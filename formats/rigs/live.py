@@ -20,7 +20,8 @@ from pathlib import Path
 
 from ..cameras import Camera
 from ..errors import RecordingEnded, RigError
-from ..pictures import Picture
+from ..pictures import PICTURE_KINDS, PICTURE_SUFFIXES, Picture
+from ..unicode_forms import composed
 from ..videos import VIDEO_SUFFIXES
 from .connections import GrowingVideo, SendingCamera, check_address
 from .detection import reader_at
@@ -198,9 +199,9 @@ def open_live(file: str | os.PathLike[str], *, seconds_per_frame: float | None =
     fields = read_toml(path)
     calibrated = reader_at(fields.path("calibration", path.parent))()
     values = fields.values.get("cameras")
-    cameras = Fields(values, f"{path}, [cameras]") if isinstance(values, dict) else None
-    if not cameras or not cameras.values:
+    if not isinstance(values, dict) or not values:
         raise fields.wrong("cameras", "is no table of where each camera's pictures come from")
+    cameras = Fields({composed(name): value for name, value in values.items()}, f"{path}, [cameras]")
     by_name = {camera.name: camera for camera in calibrated.cameras}
     unknown = [name for name in cameras.values if name not in by_name]
     if unknown:
@@ -287,7 +288,7 @@ class _Terms:
 
 
 def _terms(fields: Fields) -> _Terms:
-    fps, first = _positive(fields, "fps", None), fields.integer("first") if "first" in fields else 0
+    fps, first = fields.rate("fps"), fields.integer("first") if "first" in fields else 0
     if first < 0:
         raise fields.wrong("first", "is below 0")
     return _Terms(fps, first, math.ceil(_positive(fields, "queue", _QUEUE) * fps) + 1)
@@ -308,5 +309,7 @@ def _place(cameras: Fields, name: str, folder: Path, terms: _Terms) -> tuple[Pat
         raise cameras.wrong(
             name, "is no video, no address, and has not one place for the frame's number, such as {} or {:06d}"
         )
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise cameras.wrong(name, f"ends in {path.suffix}, which is not read; record {PICTURE_KINDS}, or a video")
     before, digits, after = parts[0], int(parts[1] or 1), parts[2]
     return path.parent, partial(FolderFeed, before=before, digits=digits, after=after, first=terms.first)

@@ -17,7 +17,7 @@ from ..videos import VIDEO_SUFFIXES
 from .detection import calibration_files, reader_at
 from .live import LiveSource, dropped_in, stop_waiting
 from .rig import Rig
-from .sources import FrameSource, PictureSource, list_folder
+from .sources import FrameSource, PictureSource, files_of_source, list_folder
 from .steps import in_step
 
 OnLost = Callable[[int, str, RigError], None]
@@ -49,7 +49,7 @@ def open_recordings(path: str | os.PathLike[str]) -> Rig:
 def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
     """Every file that nothing may be written over, and what it is: frames, calibration, and those that lie beside."""
     for source in rig.sources:
-        for file in source.files if isinstance(source, PictureSource) else (source.path,):
+        for file in files_of_source(source):
             yield file, "holds frames of the rig"
     # Another calibration or camera that lies there was not read, but is the user's all the same.
     for file in (*rig.calibration, *calibration_files(rig.path)):
@@ -62,8 +62,10 @@ def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
 def files_with(rig: Rig, frames: range) -> Iterator[Path]:
     """The files that hold these frames, camera by camera: their pictures that are there, or whole videos."""
     for source in rig.sources:
-        files = source.files[frames.start : frames.stop] if isinstance(source, PictureSource) else (source.path,)
-        yield from filter(Path.exists, files)
+        files = files_of_source(source)
+        yield from filter(
+            Path.exists, files[frames.start : frames.stop] if isinstance(source, PictureSource) else files
+        )
 
 
 def read_frames(

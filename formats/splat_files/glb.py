@@ -1,7 +1,7 @@
 """Binary glTF with KHR_gaussian_splatting: float32 attributes of points, which other programs show as a point cloud.
 
-Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, as ratified in 2026, and glTF 2.0, section 4
-("GLB File Format Specification"). Scales are linear there; drafts until 2025 had logarithms.
+Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, a release candidate in August 2026, and glTF
+2.0, section 4 ("GLB File Format Specification"). Scales are linear there; drafts until 2025 had logarithms.
 """
 
 from __future__ import annotations

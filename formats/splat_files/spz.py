@@ -41,7 +41,7 @@ _MAX_GAUSSIANS = 10_000_000
 
 @dataclass(frozen=True)
 class Spz:
-    """One frame. Defaults are the library's, but for the version, which is the newest that all readers know.
+    """One frame. Defaults are the library's, but for the version, which is the newest that most readers know.
 
     ``fraction_bits``: of a position, in world units; it has 24 bits in all, and what lies outside them is put at their
     ends. ``sh1_bits``, ``sh_rest_bits``: kept of the 8 of each SH coefficient of degree 1 and above; what lies beyond

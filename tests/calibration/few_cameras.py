@@ -18,11 +18,11 @@ import numpy as np
 from table import deviations
 
 from decogs.decoder.lens import distort_pixels, with_k1
-from decogs.encoder.calibration.by_motion import judged
+from decogs.encoder.calibration.by_motion import believed
 from decogs.encoder.calibration.features import Features, features_of, matched, sift_extractor
 from decogs.encoder.calibration.footage import Footage, instants_of, pictures_at
 from decogs.encoder.calibration.held_out import Score, score, split
-from decogs.encoder.calibration.structure import Matched, map_cameras, require_pycolmap
+from decogs.encoder.calibration.structure import Matched, require_pycolmap
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre
 from decogs.formats.rigs import open_rig
 
@@ -83,8 +83,7 @@ def main() -> None:
             start = Matched(
                 [one.name for one in few], [one.size for one in few], features, split(features, links), options.shared
             )
-            mapped = map_cameras(start, seed, lambda: None)
-            calibration = judged(mapped, few)
+            mapped, calibration = believed(start, few, seed)
             head = f"{path.name} | {len(chosen)} from {chosen[0]} | {len(calibration.placed)}"
             if mapped is None or len(calibration.placed) < 3:
                 print(f"| {head} | refused | | | |", flush=True)

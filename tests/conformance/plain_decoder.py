@@ -59,6 +59,7 @@ def decode(data: bytes, limits: Limits | None = None) -> Decoded:
     frames: list[Packet] = []
     indexes: list[bool] = []
     sounds: list[Sound] = []
+    before_frame = 0
     limits = limits or Limits()
     try:
         with located(None, 0):
@@ -72,10 +73,12 @@ def decode(data: bytes, limits: Limits | None = None) -> Decoded:
                 elif packet.kind == END:
                     check_end(packet, len(frames))
                 elif packet.kind == SOUND:
-                    sounds += sound(packet, header, len(frames) - 1)
+                    found = sound(packet, header, len(frames) - 1)
+                    sounds += found[: 64 - len(sounds) + before_frame]
                 elif packet.kind in FRAME_KINDS:
                     states.append(frame(packet, header, states, limits))
                     frames.append(packet)
+                    before_frame = len(sounds)
     except Broken as broken:
         return Decoded(header, states, broken, indexes, sounds)
     return Decoded(header, states, None, indexes, sounds)

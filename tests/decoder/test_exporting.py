@@ -254,7 +254,7 @@ def test_a_pipe_takes_what_a_file_would(
             "not finite; choose another --scale-to-metres",
         ),
         (["-o", "a.spz", "--scale-to-metres", "1e8", "--frames", ":1"], "a.spz: a Gaussian lies .* write .ply"),
-        (["-o", "a.usdc", "--fps", "nan"], "--fps nan: give a positive number"),
+        (["-o", "a.usdc", "--fps", "nan"], "'nan' is no rate"),
         (["-o", "a.usdc", "--first-frame", "-1"], "--first-frame -1"),
         (["-o", "a.usdc", "--up", "W"], "invalid choice: 'W'"),
         (["-o", "missing/a.usdc"], "folder does not exist"),

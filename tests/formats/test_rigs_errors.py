@@ -49,7 +49,9 @@ def test_no_folder(tmp_path: Path, refused: Refused) -> None:
 def test_no_calibration(tmp_path: Path, make: Any, refused: Refused) -> None:
     make.video(tmp_path / "cam00.mp4")
     known = r"no calibration; looked for rig\.json, transforms\.json, poses_bounds\.npy, .* and a COLMAP model in .*"
-    refused(tmp_path, known + r"but there are cam00\.mp4: calibrate")
+    refused(
+        tmp_path, known + r"but there are cam00\.mp4: calibrate the cameras, with decogs-calibrate .* -o RIG_DIR or"
+    )
     for i in range(9):
         make.pictures(tmp_path / f"cam{i + 1:02d}", frames=1)
     (tmp_path / "sparse_").mkdir()

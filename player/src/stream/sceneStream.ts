@@ -4,7 +4,7 @@ import { StreamError, isDamage, type Reason } from "../container/errors";
 import { DEFAULT_LIMITS, type Limits } from "../container/limits";
 import { startZstd } from "../entropy/zstd";
 import { KIND, type PacketHeader } from "../container/packets";
-import { readSoundPacket } from "../sound/packets";
+import { MAX_PACKETS, readSoundPacket } from "../sound/packets";
 import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, SoundPacket, Still, StreamHeader } from "../scene";
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
 import { BlobFeed } from "./blob";
@@ -251,7 +251,8 @@ class OpenStream implements SceneStream {
       if (table.offset(frame) < 0) continue; // lost
       const packets: SoundPacket[] = [];
       await findBeside(this.source, table, frame, this.limits, ({ kind, frame: of }, payload) => {
-        const packet = kind === KIND.SOUND && of === frame ? readSoundPacket(payload, this.header.sound.length) : null;
+        const plays = kind === KIND.SOUND && of === frame && packets.length < MAX_PACKETS;
+        const packet = plays ? readSoundPacket(payload, this.header.sound.length) : null;
         if (packet !== null) packets.push(packet);
       });
       found.push({ frame, packets });

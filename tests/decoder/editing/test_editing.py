@@ -131,6 +131,28 @@ def test_a_recipe_runs_before_what_is_given(small_stream, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
+    ("name", "line", "words"),
+    [
+        ("r.dgs", "trim 0:1", "-o r.dgs"),
+        ("r.png", "clean --picture r.png", "-o x.dgs"),
+        ("r.toml", "trim 0:1", "-o r.toml"),
+        ("r", "clean --picture link.png", "-o x.dgs"),
+    ],
+)
+def test_a_recipe_is_never_written_over(
+    name: str, line: str, words: str, small_stream, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = f'operations = ["{line}"]\n'
+    Path(name).write_text(text)
+    Path("link.png").hardlink_to(name)
+    assert edit_main([str(small_stream.path), "--recipe", name, *words.split()]) == 2
+    assert "is read, and an edit never replaces what it reads" in capsys.readouterr().err
+    assert Path(name).read_text() == text
+    assert not Path("x.dgs").exists()
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "no recipe"),

@@ -104,6 +104,40 @@ def test_what_most_cameras_repeat_or_lose_is_no_fault() -> None:
     assert not lost.repeats.any()
 
 
+def changing(frames: range, count: int = 12) -> list[np.ndarray]:
+    """Four cameras whose pictures change in these frames."""
+    random = np.random.default_rng(2)
+    pictures = [random.integers(40, 200, (count, 48, 64, 3)).astype(np.uint8) for _ in range(4)]
+    for own in pictures:
+        for frame in range(1, count):
+            if frame not in frames:
+                own[frame] = own[frame - 1]
+    return pictures
+
+
+@pytest.mark.parametrize(
+    ("changes", "froze", "came_back", "step", "hung", "dropped"),
+    [
+        (range(12), 9, None, 1, [10, 11], []),  # for good, near the end of what is looked at
+        (range(12), 2, None, 1, list(range(3, 12)), []),
+        (range(0, 12, 2), 1, None, 1, [2, 4, 6, 8, 10], []),  # 30 pictures a second in a video of 60
+        (range(12), 5, 7, 8, [6], []),  # of every eighth frame: eight were missed
+        (range(12), 5, 7, 1, [], [6]),
+        (range(12), 10, None, 1, [], [11]),
+        (range(7, 12), 8, 10, 1, [], [9]),  # after a rest of all
+    ],
+)
+def test_a_camera_that_freezes_for_good_is_told_from_one_that_drops_frames(
+    changes: range, froze: int, came_back: int | None, step: int, hung: list[int], dropped: list[int]
+) -> None:
+    pictures = changing(changes)
+    pictures[1][froze:came_back] = pictures[1][froze]
+    lost = find_lost(pictures, step)
+    assert np.flatnonzero(lost.hung(1)).tolist() == hung
+    assert np.flatnonzero(lost.dropped(1)).tolist() == dropped
+    assert not any(lost.hung(camera).any() or lost.dropped(camera).any() for camera in (0, 2, 3))
+
+
 def carried(step: float) -> tuple[list[Camera], list[np.ndarray]]:
     """A floor, four units deep above and one and a half below, before five cameras, of which cam02 is carried on."""
     random = np.random.default_rng(4)
