@@ -553,7 +553,7 @@ def _full_frame_changes(report: EncodeReport) -> str:
 
 def _cut(report: EncodeReport) -> str:
     at = [frame.frame for frame in report.frames if frame.cut]
-    return f"another scene begins in {frames_text(at)}, with a new keyframe" if at else ""
+    return f"{frames_text(at)}: another scene than the one before, with a new keyframe" if at else ""
 
 
 def _missed_budget(report: EncodeReport) -> str:

@@ -117,37 +117,42 @@ class VideoSource:
     def _frames_from(self, start: int) -> Generator[VideoFrame, None, None]:
         """The decoded frames from ``start`` on, each by its own time."""
         for begin in self._beginnings(start):
-            following, before = start, -1
-            last: VideoFrame | None = None
-            damage: RigError | None = None
+            following, last = start, None
             with opened_video(self.path) as (container, stream):
                 if begin is not None and not _seek(container, stream, begin):
                     continue
-                frames = _decoded(self.path, container, stream, passes_errors=self.times is not None)
-                for position, frame in enumerate(frames):
-                    index = position if self.times is None else self._index_of(frame, following)
-                    while damage is None and last is not None and following < index and following in self.dropped:
+                for index, frame, damage in self._numbered(container, stream, start):
+                    while last is not None and following < index and following in self.dropped:
                         yield last
                         following += 1
-                    if index > following and begin is not None and following == start:
-                        break  # what was sought lies further on
-                    if index > following:
-                        raise _missing(self.path, following)
-                    lacks = last is not None and any(k not in self.dropped for k in range(before + 1, index))
-                    if frame.is_corrupt or lacks:
-                        damage = _damaged(self.path, index)
-                    elif frame.key_frame:
-                        damage = None
-                    before, last = index, frame
+                    if index > following or (index == following and damage is not None):
+                        if begin is not None and following == start:
+                            break  # what was sought lies further on, or needs what lies before
+                        raise damage if index == following and damage is not None else _missing(self.path, following)
                     if index == following:
-                        if damage is not None and begin is not None and following == start:
-                            break  # of the video, or only of pictures that need what lies before what was sought
-                        if damage is not None:
-                            raise damage
                         yield frame
                         following += 1
+                    last = frame if damage is None else None
             if following > start:
                 return
+
+    def _numbered(
+        self, container: InputContainer, stream: VideoStream, start: int
+    ) -> Iterator[tuple[int, VideoFrame, RigError | None]]:
+        """Decoded frames with their numbers, -1 before the first, and damage in each or in what it is predicted from.
+
+        ``start``: the number of the frame that is looked for.
+        """
+        damage, before = None, -1
+        for position, frame in enumerate(_decoded(self.path, container, stream, passes_errors=self.times is not None)):
+            index = position if self.times is None else self._index_of(frame, max(start, before + 1))
+            lacks = before >= 0 and not self.dropped.issuperset(range(before + 1, index))
+            if frame.is_corrupt or lacks:
+                damage = _damaged(self.path, index)
+            elif frame.key_frame:
+                damage = None
+            before = index
+            yield index, frame, damage
 
     def _beginnings(self, start: int) -> list[int | None]:
         """Times of keyframes to decode from, the nearest first, and None for the video's beginning.
@@ -396,7 +401,8 @@ def _look_through(
             continue
         index = int(np.searchsorted(times, frame.pts))
         _check_kind(path, frame, index, (first.width, first.height))
-    if index is not None and index + 1 < times.size:
+    # A last frame that alone is damaged is left to whoever reads it, too.
+    if index is not None and index + 2 < times.size:
         raise _ended(path, index + 1, times.size)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 GOOD, USABLE, HARMFUL = "good", "usable", "harmful"
 """What a camera is good for: nothing is wrong; something is, but views are better with it; they are better without."""
 
-DEAD, FROZEN, DROPPED = "dead", "frozen", "dropped"
+DEAD, FROZEN, DROPPED, DAMAGED = "dead", "frozen", "dropped", "damaged"
 SWAPPED, TURNED, MISPLACED = "swapped", "turned", "misplaced"
 LATE = "late"
 """Or early: its frames are not of the others' moments."""
@@ -33,7 +33,7 @@ kinds, has up to .71, which an encode matches."""
 @dataclass(frozen=True)
 class Findings:
     """What is measured of a camera. ``lost``, ``hung`` and ``dropped``: numbers of its frames that show nothing, that
-    repeat the one before in a row, and that are missing singly.
+    repeat the one before in a row, and that are missing singly; ``unread``: that cannot be read, for this ``damage``.
 
     ``turned``: degrees; ``late``: frames; ``residual``: pixels; NaN where unknown. ``sharpness``: of its details, over
     the cameras' median; ``noise``: levels, ``usual_noise``: the cameras' median; ``stops``: its exposure against the
@@ -44,6 +44,8 @@ class Findings:
     lost: Sequence[int] = ()
     hung: Sequence[int] = ()
     dropped: Sequence[int] = ()
+    unread: Sequence[int] = ()
+    damage: str = ""
     swapped: str | None = None
     misplaced: bool = False
     turned: float = math.nan
@@ -100,6 +102,8 @@ def faults_of(found: Findings) -> Iterator[Fault]:
         yield _misplaced(found, left_out)
     elif abs(found.late) >= _LATE_FRAMES and not (found.hung or found.moving):
         yield _late(found)
+    if found.unread:
+        yield fault(DAMAGED, f"has no picture in {_frames(found.unread)}", found.damage)
     if found.dropped and not is_blurred:
         yield fault(DROPPED, f"has no picture of its own in {_frames(found.dropped)}", "look at its recorder")
     if is_blurred:

@@ -52,13 +52,15 @@ class Recordings:
     """Pictures, (cameras, F), that show nothing of their moment: ``blank``, and ``repeats`` of the one before.
 
     ``step``: recorded frames from one picture to the next, all of which a repeat has missed. ``at_rest``: frames (F,)
-    in which no camera could show a change, so that they end no row of repeats.
+    in which no camera could show a change, so that they end no row of repeats. ``unread``: those that cannot be read,
+    in whose place there is the one before.
     """
 
     blank: BoolArray
     repeats: BoolArray
     step: int
     at_rest: BoolArray
+    unread: BoolArray
 
     def dead(self, camera: int) -> BoolArray:
         """Which pictures (F,) of a camera show nothing, in a long row."""
@@ -75,12 +77,14 @@ class Recordings:
 
     def without_lost(self, noise: F64) -> F64:
         """The ``noise`` (cameras, F) between pictures and those before them, NaN where one of the two is lost."""
-        lost = self.blank | self.repeats
+        lost = self.blank | self.repeats | self.unread
         return np.asarray(np.where(lost | np.roll(self.blank, 1, axis=1), np.nan, noise))
 
 
-def find_lost(pictures: Sequence[U8], step: int = 1) -> Recordings:
+def find_lost(pictures: Sequence[U8], step: int = 1, unread: BoolArray | None = None) -> Recordings:
     """The lost ones among the cameras' ``pictures``, (F, H, W, 3) each, of every ``step``-th frame.
+
+    ``unread`` (cameras, F) are neither blank nor repeats.
 
     What most cameras show in a frame is no loss: a room without light is black.
     """
@@ -98,7 +102,8 @@ def find_lost(pictures: Sequence[U8], step: int = 1) -> Recordings:
             stands = np.median(own) < _MAX_FROZEN_SHARE * np.median(others[shows])
             usual = np.inf if stands else float(np.quantile(own, _OWN_QUANTILE))
             repeats[camera] = shows & (changes[camera] < np.minimum(_MAX_CHANGE_SHARE * others, _MAX_OWN_SHARE * usual))
-    return Recordings(blank, repeats, step, at_rest)
+    unread = np.zeros_like(blank) if unread is None else unread
+    return Recordings(blank & ~unread, repeats & ~unread, step, at_rest, unread)
 
 
 def detail(picture: Picture) -> F64:

@@ -80,10 +80,10 @@ class FrameReporter:
                 self._on_warning(warning_of(origin, encoded.pictures.index, cameras))
 
     def _used(self, encoded: Encoded) -> Sequence[int]:
-        """The views whose pictures show the frame; if there are none, all that have one."""
+        """The views whose pictures show the frame; if there are none, all that have one; else those that stand in."""
         views, masks = self._context.ingest.views, encoded.outcome.selection.masks
         lost = encoded.pictures.lost_views(views)
-        return usable_views(masks) or [view for view in range(len(views)) if view not in lost]
+        return usable_views(masks) or [view for view in range(len(views)) if view not in lost] or range(len(views))
 
     def _training_psnr(self, encoded: Encoded) -> float:
         used, views = self._used(encoded), self._context.ingest.views

@@ -112,8 +112,8 @@ class FrameTrainer(Protocol):
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains one frame.
 
-        The static views show ``frame.scene``, and its selected Gaussians are detached in them. Views that are ``lost``
-        have no part in it.
+        The static views show ``frame.scene``, and its selected Gaussians are detached in them. Views that are lost,
+        by the frame or by their masks, have no part in it.
         """
         ...
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .opening import open_recordings as open_recordings
     from .opening import open_rig as open_rig
     from .opening import read_frames as read_frames
+    from .opening import read_repeating as read_repeating
     from .rig import Points as Points
     from .rig import Rig as Rig
     from .rig import without_cameras as without_cameras
@@ -31,6 +32,7 @@ _HOMES = {
     "open_recordings": "opening",
     "open_rig": "opening",
     "read_frames": "opening",
+    "read_repeating": "opening",
     "Points": "rig",
     "Rig": "rig",
     "without_cameras": "rig",

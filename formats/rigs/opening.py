@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +102,7 @@ def read_frames(
 def _frames_in_step(
     rig: Rig, chosen: list[tuple[Camera, FrameSource]], frames: range, on_lost: OnLost | None
 ) -> Iterator[tuple[int, list[Picture]]]:
-    readers = [_Reader(camera, source, frames) for camera, source in chosen]
+    readers = [_Reader(camera.name, source, frames) for camera, source in chosen]
     # Cameras that are recording are waited for, all at once.
     waits = any(isinstance(source, LiveSource) for _, source in chosen)
     pool = ThreadPoolExecutor(max_workers=max(1, len(chosen) if waits else min(len(chosen), processor_count())))
@@ -127,11 +128,26 @@ def _frames_in_step(
             reader.close()
 
 
+def read_repeating(source: FrameSource, frames: range) -> Iterator[Picture]:
+    """A recording's pictures of these frames, with the one before in place of one that cannot be had.
+
+    Raises RigError for the first one.
+    """
+    with closing(_Reader(source.path.stem, source, frames)) as reader:
+        before: Picture | RigError | None = None
+        for index in frames:
+            found = reader.next(index)
+            before = before if isinstance(found, RigError) and before is not None else found
+            if isinstance(before, RigError):
+                raise before
+            yield before
+
+
 class _Reader:
     """The pictures of one camera, frame by frame; those that cannot be had are passed over."""
 
-    def __init__(self, camera: Camera, source: FrameSource, frames: range) -> None:
-        self._camera, self._source, self._frames = camera, source, frames
+    def __init__(self, name: str, source: FrameSource, frames: range) -> None:
+        self._name, self._source, self._frames = name, source, frames
         self._pictures: Generator[Picture, None, None] | None = source.read(frames.start, frames.stop, frames.step)
         self._error, self._readable = RigError(), frames.start
 
@@ -157,8 +173,8 @@ class _Reader:
             return found
         if on_lost is None:
             raise found
-        on_lost(index, self._camera.name, found)
-        return np.zeros((self._camera.height, self._camera.width, 3), np.uint8)
+        on_lost(index, self._name, found)
+        return np.zeros((self._source.height, self._source.width, 3), np.uint8)
 
     def close(self) -> None:
         """Closes the camera's files."""
@@ -166,12 +182,12 @@ class _Reader:
             self._pictures.close()
 
     def _checked(self, index: int, picture: Picture | None) -> Picture:
-        camera, path = self._camera, self._source.path
+        source = self._source
         if picture is None:
-            raise RigError(f"{path}: ends before frame {index}; bring all cameras to the same number of frames")
-        if picture.shape != (camera.height, camera.width, 3):
+            raise RigError(f"{source.path}: ends before frame {index}; bring all cameras to the same number of frames")
+        if picture.shape != (source.height, source.width, 3):
             raise RigError(
-                f"{path}: frame {index} is {picture.shape[1]} x {picture.shape[0]} pixels, but camera {camera.name} "
-                f"has {camera.width} x {camera.height}; bring all frames to one size"
+                f"{source.path}: frame {index} is {picture.shape[1]} x {picture.shape[0]} pixels, but camera "
+                f"{self._name} has {source.width} x {source.height}; bring all frames to one size"
             )
         return picture

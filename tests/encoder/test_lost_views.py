@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from collections.abc import Callable
@@ -16,7 +17,8 @@ import OpenEXR
 import pytest
 
 from decogs.encoder import EncodeReport, MatteChoice, join
-from decogs.encoder.analysis.rig_statistics import gather_statistics
+from decogs.encoder.analysis.analyse import analyse
+from decogs.encoder.analysis.faults import DAMAGED, DROPPED, FROZEN
 from decogs.encoder.methods.threedgstream import BaselineTrainer
 from decogs.encoder.output.reports import FrameReport, left_out_warnings
 from decogs.formats.errors import RigError
@@ -263,6 +265,7 @@ def test_a_frame_without_any_picture_repeats_the_one_before(rig: Path, encoded: 
         assert len(warnings) == len(list(rig.glob("cam*")))
         assert [frame.kind for frame in report.frames] == ["key", "skip", *(frame.kind for frame in report.frames[2:])]
         assert report.frames[FRAME].held_out_psnr is None
+        assert math.isfinite(report.frames[FRAME].training_psnr)
         assert report.frames[3].effects or method == "3dgstream"
 
 
@@ -330,5 +333,9 @@ def report(frame: int, dropped: dict[str, str]) -> FrameReport:
 
 def test_an_analysis_names_the_camera_and_frame(rig: Path) -> None:
     shorten(of(rig, CAMERA, FRAME))
-    recordings = gather_statistics(open_rig(rig)).recordings
-    assert np.argwhere(recordings.repeats).tolist() == [[1, FRAME]]
+    check = analyse(open_rig(rig)).check
+    faults = [fault for camera in check.cameras for fault in camera.faults if fault.word in (DAMAGED, FROZEN, DROPPED)]
+    assert [(fault.camera, fault.word, fault.looks) for fault in faults] == [
+        (CAMERA, DAMAGED, "has no picture in frame 1")
+    ]
+    assert "cam01/0001.png: the PNG file is truncated" in str(faults[0])

@@ -212,6 +212,29 @@ def test_own_alpha_counts_and_colours_go_on_where_it_is_0(green: Path, tmp_path:
     assert list(frame_of(opened(folder)).alpha) == []
 
 
+@pytest.mark.parametrize(
+    ("opaque", "has_alpha", "seen"),
+    [((0,), True, 3), ((0, 1), True, 3), ((0, 3), True, 1), ((0, 2, 3), True, 1), ((0,), False, 3)],
+)
+def test_a_take_of_cut_outs_that_begins_opaque_is_refused(
+    moving_rig: Path, tmp_path: Path, opaque: tuple[int, ...], has_alpha: bool, seen: int
+) -> None:
+    """Such as with a slate: its cut-outs would be encoded with their backdrop. Behind it, they are what they are."""
+    folder = Path(shutil.copytree(moving_rig, tmp_path / "rig"))
+    for file in folder.glob("*/*.png"):
+        if has_alpha or int(file.stem) not in opaque:
+            alpha = np.full((48, 64), 255, np.uint8)
+            alpha[:8] *= int(file.stem) in opaque
+            rewrite(file, lambda picture, alpha=alpha: np.dstack([picture, alpha]))
+    with pytest.raises(RigError, match=f"are opaque in frame 0 and cut-outs in frame {seen}; begin where all"):
+        opened(folder)
+    assert list(frame_of(opened(folder, own_masks=False)).alpha) == []
+    rig = open_rig(folder)
+    mattes = open_mattes(MatteChoice(), rig, range(1, 2) if 1 not in opaque else range(2, 4))
+    assert mattes is not None
+    assert mattes.is_own
+
+
 def test_alpha_in_some_cameras_only_is_refused(green: Path, tmp_path: Path) -> None:
     folder = with_alpha(green, tmp_path / "rig")
     for file in (folder / NAMES[2]).glob("*.png"):
