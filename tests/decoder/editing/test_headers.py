@@ -13,6 +13,7 @@ from decogs.codec.corrections import CorrectedCameras, Correction, write_correct
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
+from decogs.codec.sound import SoundTrack
 from decogs.codec.syntax import write_key, write_skip
 from decogs.decoder.commands import decode_main, info_main
 from decogs.decoder.editing import Cameras, Operation, Retime, Set, Speed, Strip, Transform, Trim, edit
@@ -23,6 +24,7 @@ from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import round_splats
 from edited_streams import bodies, header_of
+from sounding_streams import with_sound
 
 TOLD = {
     "a": Correction(exposure=5, yaw=7),
@@ -130,6 +132,19 @@ def test_strip_leaves_the_licence_and_the_scenes(corrected_stream) -> None:
     header = header_of(edited(corrected_stream, Strip(("provenance",))))
     assert (header.settings, header.source_text, header.writer, header.licence) == ({}, "", "", "CC0")
     assert bodies(corrected_stream.with_name("out.dgs")) == bodies(corrected_stream)
+
+
+def test_strip_of_provenance_leaves_no_name_of_a_file(corrected_stream) -> None:
+    """Tracks of sound are called as the files that they come from; what the stream is called stays."""
+    named = corrected_stream.with_name("named.dgs")
+    track = SoundTrack(1, "secret.wav", (1.0, 2.0, 3.0))
+    rated = corrected_stream.with_name("rated.dgs")
+    edit(corrected_stream, rated, [Retime(fps=25.0)])
+    edit(with_sound(rated, named, (track,)), named.with_name("titled.dgs"), [Set(title="Take")])
+    header = header_of(edited(named.with_name("titled.dgs"), Strip(("provenance",))))
+    assert header.sound == (replace(track, title=""),)
+    assert header.presentation.title == "Take"
+    assert b"secret" not in named.with_name("out.dgs").read_bytes()
 
 
 def test_strip_of_the_rig_leaves_one_camera(corrected_stream) -> None:
