@@ -8,7 +8,7 @@ Loads next to nothing itself: what is interrupted before that nobody can catch.
 
 from __future__ import annotations
 
-import _signal
+import _signal  # type: ignore[import-not-found]
 import os
 import sys
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +21,11 @@ from decogs.decoder.editing import Cameras, Operation, Retime, Set, Speed, Strip
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PacketKind, StreamWriter
+from decogs.formats.container import FRAME_KINDS, PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import round_splats
 from edited_streams import bodies, header_of
+from packets import iterate_packets
 from sounding_streams import with_sound
 
 TOLD = {
@@ -145,6 +147,32 @@ def test_strip_of_provenance_leaves_no_name_of_a_file(corrected_stream) -> None:
     assert header.sound == (replace(track, title=""),)
     assert header.presentation.title == "Take"
     assert b"secret" not in named.with_name("out.dgs").read_bytes()
+
+
+def test_what_a_later_version_says_is_named_where_it_is_left_out(corrected_stream, tmp_path: Path) -> None:
+    """Members of the header, also within others, and packets wherever they are; what says nothing is no loss."""
+    later = tmp_path / "later.dgs"
+    with later.open("wb") as file:
+        for packet in iterate_packets(io.BytesIO(corrected_stream.read_bytes())):
+            if packet.kind == PacketKind.HEADER:
+                header = json.loads(packet.payload)
+                header |= {"invented": [1], "presentation": {"title": "a", "chapters": [2]}, "empty": ""}
+                header["cameras"][1]["rolling_shutter"] = 0.01
+                writer = StreamWriter(file, json.dumps(header).encode())
+            elif packet.kind in FRAME_KINDS:
+                writer.write(packet.kind, packet.frame, packet.payload)
+        writer.write(9, 1, b"later", critical=False)
+        writer.write(200, 1, b"private", critical=False)
+        writer.finish()
+    said: list[str] = []
+    edit(later, tmp_path / "out.dgs", [Set(licence="mine")], on_warning=said.append)
+    assert said == [
+        f"{later}: holds what this version does not know, which is left out: cameras[1].rolling_shutter, invented, "
+        "presentation.chapters, packets of kind 9, packets of kind 200"
+    ]
+    said.clear()
+    edit(corrected_stream, tmp_path / "out.dgs", [Set(licence="mine")], on_warning=said.append)
+    assert said == []
 
 
 def test_strip_of_the_rig_leaves_one_camera(corrected_stream) -> None:
