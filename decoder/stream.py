@@ -343,7 +343,7 @@ def _opened(path: Path) -> BinaryIO:
         if error.errno != errno.EINVAL:
             raise
         raise UsageError(
-            f"{path}: is no regular file; decode a pipe with - for stdin, or write it to a file first"
+            f"{path}: is no regular file; write the stream to a file first (`decogs-decode -` reads a pipe)"
         ) from None
 
 
