@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import MAX_SIDE, Camera
 from decogs.formats.errors import UsageError
-from decogs.formats.regular_files import open_regular
 
 from .limits import DEFAULT_MAX_MEMORY
 
@@ -49,8 +48,8 @@ def parsed_json(path: Path, max_memory: int = DEFAULT_MAX_MEMORY) -> Any:
     """
     most = min(MAX_FILE_BYTES, max_memory // _EXPANSION)
     try:
-        with open_regular(path) as file:
-            data = file.read(most + 1)
+        with path.open("rb") as file:
+            data = file.read(most + 1)  # devices and pipes have no size
         if len(data) > most:
             more = "" if most == MAX_FILE_BYTES else ", or allow more memory (`max_memory`)"
             raise UsageError(f"{path}: has more than {most} bytes; give a shorter camera path{more}")

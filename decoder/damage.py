@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from decogs.formats.errors import StreamError
-from decogs.formats.survey import is_damage
+from decogs.formats.survey import check_places, is_damage
 
 
 class DamageWarning(UserWarning):
@@ -64,6 +64,7 @@ class Concealment:
         place = damage.error.offset, damage.error.reason, damage.frames, damage.error.sound_of
         if place not in self._reported:
             self._reported.add(place)
+            check_places(len(self._reported), damage.error)
             self._on_damage(damage)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, TypeVar
 
 from decogs.codec.frame_payload import split_payload
-from decogs.codec.sound import read_sound
+from decogs.codec.sound import MAX_PACKETS, read_sound
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -128,13 +128,15 @@ class GrowingStream:
         None when nothing more comes.
         """
         errors: list[StreamError] = []
+        sounds = 0
         while (found := self._next()) is not None:
             if isinstance(found, StreamError):
                 errors.append(self._accepted(found))
                 if self.ended:
                     break
             elif found.kind == PacketKind.SOUND:
-                if self._sound is not None and found.frame == expected - 1:
+                sounds += found.frame == expected - 1
+                if self._sound is not None and found.frame == expected - 1 and sounds <= MAX_PACKETS:
                     self._hear(found, self._sound, errors)
             elif found.kind in FRAME_KINDS or found.kind == PacketKind.END:
                 repeated = found.kind in FRAME_KINDS and found.frame < expected

@@ -8,12 +8,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
 from decogs.codec.frame_payload import split_payload
-from decogs.codec.header import StreamHeader
+from decogs.codec.header import StreamHeader, unknown_members
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
 from decogs.formats.container import (
@@ -27,6 +28,7 @@ from decogs.formats.container import (
     read_index,
     scan_index,
     stops_inside,
+    unknown_kinds,
 )
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
@@ -139,14 +141,26 @@ class Stream:
         A frame's sound is right after those before it (`decoder.sound.samples.frames_before`). Raises as `frames`.
         """
         self._check_open()
-        for frame in range(start, self.frame_count if stop is None else stop):
+        stop = self.frame_count if stop is None else stop
+        if not self.header.sound:
+            yield from repeat((), stop - start)
+            return
+        for frame in range(start, stop):
             with self._errors_named():
                 sound = self._sound_of(frame)
             yield sound
 
+    def not_known(self) -> list[str]:
+        """What the file holds that this version does not know: members of its header, kinds of packets."""
+        with self._errors_named():
+            header = self._reader(0).next()
+            members = [] if header is None else unknown_members(header.payload)
+            kinds = unknown_kinds(self._file)
+        return [*members, *(f"packets of kind {kind}" for kind in kinds)]
+
     def _sound_of(self, frame: int) -> FrameSound:
         entry, after = self._survey.entry(frame), self._survey.entry(frame + 1)
-        if entry is None or not self.header.sound:
+        if entry is None:
             return ()
         try:
             reader = self._reader(end_of_packet(self._file, entry.offset))
@@ -329,7 +343,7 @@ def _opened(path: Path) -> BinaryIO:
         if error.errno != errno.EINVAL:
             raise
         raise UsageError(
-            f"{path}: is no regular file; decode a pipe with - for stdin, or write it to a file first"
+            f"{path}: is no regular file; write the stream to a file first (`decogs-decode -` reads a pipe)"
         ) from None
 
 

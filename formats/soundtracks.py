@@ -104,7 +104,7 @@ _FORMATS = "aac,ac3,aiff,asf,au,avi,caf,eac3,flac,matroska,mov,mp3,mpeg,mpegts,m
 
 def sound_channels(path: Path) -> int | None:
     """1 or 2, as the sound of a file is to be kept; None where it has none. Raises UsageError for unreadable ones."""
-    with _opened_sound(path) as (container, tracks):
+    with _opened_sound(path) as (container, tracks, _):
         if not tracks or next(container.decode(tracks[0]), None) is None:
             return None
         return 2 if len(tracks) > 1 else min(tracks[0].codec_context.channels, 2) or 2
@@ -122,7 +122,7 @@ def read_samples(path: Path, channels: int, *, begin: float = 0.0, picture: int 
     of the video. Several microphones lie left and right in turn, as recorders have them. Raises UsageError for what
     cannot be read, or has no sound.
     """
-    with _opened_sound(path) as (container, tracks):
+    with _opened_sound(path) as (container, tracks, _):
         if not tracks:
             raise UsageError(f"{path}: has no sound; name a file that has, or leave out `audio`")
         zero = None if picture is None else float(picture * (pictures_of(path, container).time_base or 0))
@@ -138,11 +138,12 @@ def read_samples(path: Path, channels: int, *, begin: float = 0.0, picture: int 
 
 def _samples_of(path: Path, index: int, channels: int, begin: float, zero: float | None) -> Iterator[FloatArray]:
     """One track of a file, from ``begin`` seconds after the time ``zero`` on, None for its first sample's."""
-    with _opened_sound(path) as (container, _):
+    with _opened_sound(path) as (container, _, unchanged):
         resampler = av.AudioResampler(format="fltp", layout=("mono", "stereo")[channels - 1], rate=FULL_RATE)
         at = round(begin * FULL_RATE)
         tolerance = 0
         for frame in chain(container.decode(container.streams[index]), [None]):  # which has what the resampler holds
+            unchanged.check()
             for part in resampler.resample(frame):
                 time = float(part.pts * part.time_base) if part.pts is not None and part.time_base else None
                 zero = time or 0.0 if zero is None else zero
@@ -201,15 +202,13 @@ def _microphones(container: InputContainer) -> list[AudioStream]:
 
 
 @contextmanager
-def _opened_sound(path: Path) -> Iterator[tuple[InputContainer, list[AudioStream]]]:
-    """A file and its tracks of sound that are heard. Raises UsageError, also where it changed before it was closed."""
+def _opened_sound(path: Path) -> Iterator[tuple[InputContainer, list[AudioStream], Unchanged]]:
+    """A file, its tracks of sound that are heard, and whether it still is what it was. Raises UsageError."""
     try:
         # A file that is open already cannot be "concat:a.wav" or an address in FFmpeg's own language.
         only = {"protocol_whitelist": "file", "format_whitelist": _FORMATS}
         with open_regular(path) as file, av.open(file, container_options=only, **ANY_TEXT) as container:
-            unchanged = Unchanged(file, path)
-            yield container, _microphones(container)
-            unchanged.check()
+            yield container, _microphones(container), Unchanged(file, path)
     except (av.FFmpegError, OSError, ValueError) as error:
         said = getattr(error, "strerror", None) or str(error)
         raise UsageError(f"{path}: cannot be read as audio ({said}); choose another file") from None

@@ -22,6 +22,9 @@ from .recipe import read_recipe
 from .take import Frame, Take, open_take
 from .writing import FrameWriter
 
+MAX_OPERATIONS = 100
+"""Of one edit: each of them reads frames through all those before it."""
+
 
 @dataclass(frozen=True)
 class EditReport:
@@ -62,6 +65,8 @@ def edit(
     operations = [*([] if recipe is None else read_recipe(recipe)), *operations]
     if not operations:
         raise UsageError("no operation is given; decogs-edit --help lists them")
+    if len(operations) > MAX_OPERATIONS:
+        raise UsageError(f"{len(operations)} operations are too many; give up to {MAX_OPERATIONS} at once")
     target = Path(output) if isinstance(output, (str, os.PathLike)) else output
     with ExitStack() as opened:
         numbers = count()
@@ -72,12 +77,15 @@ def edit(
         shown = _Shown(on_frame)
         take = open_other(stream).each(shown.read)
         for operation in operations:
+            operation.check_numbers()
             take = operation.edit(take, open_other)
             _check_header(operation, take)
         _check_files(target, operations, [*take.sources, *([] if recipe is None else [Path(recipe)])])
         with _opened(target) as (file, publish):
             writer, frames = _written(take, file, shown)
             publish()
+        if frames.is_empty and on_warning is not None:
+            on_warning("no Gaussian is left in any frame; the stream shows its background alone")
         return EditReport(frames.frames, frames.kept, writer.bytes_written, tuple(note() for note in take.notes))
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from decogs.codec.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
+from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
 from ..sound.coding import coded
@@ -94,8 +95,12 @@ def with_file(take: Take, path: Path, channels: int, begin: float, fps: float) -
     """The take's sound and, as one more track, that of a file from ``begin`` seconds on."""
     from decogs.formats.soundtracks import read_samples
 
+    samples = read_samples(path, channels, begin=begin)
+    first = next(samples, None)
+    if first is None or begin < -take.frame_count / fps:
+        raise UsageError(f"{path}: nothing of it is heard when it begins at second {begin:g}; choose another one")
     number = len(take.header.sound)
-    added = remembered(coded(read_samples(path, channels, begin=begin), channels, fps, track=number))
+    added = remembered(coded(chain([first], samples), channels, fps, track=number))
 
     def hear(start: int, stop: int) -> Iterator[FrameSound]:
         return (old + new for old, new in zip(take.hear(start, stop), added(start, stop), strict=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 
-from decogs.codec.sound import MAX_PACKETS, SoundPacket, SoundTrack
+from decogs.codec.sound import SoundPacket, SoundTrack
 from decogs.formats.splats import FloatArray
 
 from .packets import FrameSound
@@ -25,9 +25,8 @@ class ComingSound(Iterator[FloatArray]):
         self._first, self._known, self._passed = first, known, 0
 
     def take(self, frame: int, packet: SoundPacket) -> None:
-        """A packet that came, of this frame; beyond `MAX_PACKETS` of one they are not heard."""
-        if sum(of == frame for of, _ in self._packets) < MAX_PACKETS:
-            self._packets.append((frame, packet))
+        """A packet that came, of this frame."""
+        self._packets.append((frame, packet))
 
     def __next__(self) -> FloatArray:
         while self._passed < self._known():

@@ -25,12 +25,14 @@ def sound_behind(
     packet; its sound is not there then. A frame's packets beyond `MAX_PACKETS` are not looked at.
     """
     found: list[SoundPacket] = []
+    looked_at = 0
     try:
-        while len(found) < MAX_PACKETS and (end is None or reader.offset < end):
+        while looked_at < MAX_PACKETS and (end is None or reader.offset < end):
             packet = reader.next()
             if packet is None or packet.kind in FRAME_KINDS:
                 break
             if packet.kind == PacketKind.SOUND and packet.frame == frame:
+                looked_at += 1
                 try:
                     found.append(read_sound(packet, tracks))
                 except StreamError as error:

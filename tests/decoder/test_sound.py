@@ -25,15 +25,17 @@ from decogs.codec.sound import (
     frame_start,
     read_sound,
 )
+from decogs.codec.syntax import write_key, write_skip
 from decogs.decoder import decode, decode_sound, info, open_stream
 from decogs.decoder.commands import decode_main, info_main
 from decogs.decoder.editing import Set, edit
+from decogs.decoder.following import follow_stream
 from decogs.decoder.sound.coding import coded
-from decogs.decoder.sound.following import ComingSound
 from decogs.decoder.sound.samples import frames_before, heard, mixed
 from decogs.formats.container import FRAME_KINDS, PROLOGUE_SIZE, Packet, PacketKind, StreamWriter, packet_bytes
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.opus import OpusDecoder
+from decogs.formats.survey import MAX_DAMAGED_PLACES
 from packets import iterate_packets
 from sounding_streams import FIRST_TONE, STEP, with_sound
 
@@ -248,10 +250,28 @@ def test_a_frame_has_so_many_packets_of_sound(small_stream, tmp_path: Path) -> N
                     writer.write(PacketKind.SOUND, read.frame, packet.payload())
     with open_stream(tmp_path / "s.dgs") as stream:
         assert [len(sound) for sound in stream.sounds()] == [MAX_PACKETS] * stream.frame_count
-    coming = ComingSound((SoundTrack(1),), 25.0, 0, lambda: 1)
-    for _ in range(MAX_PACKETS + 5):
-        coming.take(0, packet)
-    assert len(coming._packets) == MAX_PACKETS
+    with follow_stream(tmp_path / "s.dgs", idle=0.1) as followed:
+        heard = followed.heard()
+        frames = followed.frames()
+        next(frames)
+        next(frames)
+        assert len(heard._packets) == MAX_PACKETS
+
+
+def test_a_stream_with_too_many_damaged_packets_of_sound_is_refused(small_stream, tmp_path: Path) -> None:
+    """As one with as many damaged frames is; each of them would be kept in memory and named."""
+    header = replace(small_stream.header, sound=(SoundTrack(1),)).to_bytes()
+    state = small_stream.states[0]
+    with (tmp_path / "s.dgs").open("wb") as file:
+        writer = StreamWriter(file, header)
+        writer.write(PacketKind.KEY, 0, write_key(state).payload)
+        for frame in range(1, MAX_DAMAGED_PLACES // MAX_PACKETS + 2):
+            writer.write(PacketKind.SKIP, frame, write_skip(state).payload)
+            for _ in range(MAX_PACKETS):
+                writer.write(PacketKind.SOUND, frame, b"\7")
+        writer.finish()
+    with pytest.raises(StreamError, match="damaged in too many places"):
+        info(tmp_path / "s.dgs")
 
 
 @pytest.mark.parametrize("broken", ["payload", "header", "blocks"])

@@ -274,7 +274,7 @@ def test_a_closed_stream_raises_and_reads_no_other_file(small_stream, segmented_
 def test_a_pipe_cannot_be_opened_and_says_what_can_be_done(small_stream, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for nothing_to_seek in (tmp_path / "pipe", Path(os.devnull)):
-        with pytest.raises(UsageError, match="is no regular file; decode a pipe with - for stdin"):
+        with pytest.raises(UsageError, match="is no regular file; write the stream to a file first"):
             open_stream(nothing_to_seek)
 
 

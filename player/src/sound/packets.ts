@@ -16,7 +16,7 @@ const MAX_TITLE = 65_536;
 const MAX_COORDINATE = 1e12;
 const MAX_BLOCK_BYTES = 1276;
 const MAX_BLOCKS = 1024;
-/** Packets of a frame that are played. */
+/** Packets of a frame that are looked at. */
 export const MAX_PACKETS = 64;
 const SLOWEST = 1;
 

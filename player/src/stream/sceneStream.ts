@@ -250,9 +250,10 @@ class OpenStream implements SceneStream {
     for (let frame = from; frame < Math.min(to, table.length) && !this.closed; frame++) {
       if (table.offset(frame) < 0) continue; // lost
       const packets: SoundPacket[] = [];
+      let count = 0;
       await findBeside(this.source, table, frame, this.limits, ({ kind, frame: of }, payload) => {
-        const plays = kind === KIND.SOUND && of === frame && packets.length < MAX_PACKETS;
-        const packet = plays ? readSoundPacket(payload, this.header.sound.length) : null;
+        if (kind !== KIND.SOUND || of !== frame || ++count > MAX_PACKETS) return;
+        const packet = readSoundPacket(payload, this.header.sound.length);
         if (packet !== null) packets.push(packet);
       });
       found.push({ frame, packets });
