@@ -17,8 +17,5 @@ def as_it_lies(path: Path) -> Path:
     if str(path).isascii() or os.path.lexists(path):
         return path
     folder = as_it_lies(path.parent)
-    try:
-        names = os.listdir(folder)
-    except OSError:
-        return path
-    return next((folder / name for name in names if composed(name) == composed(path.name)), folder / path.name)
+    forms = (folder / unicodedata.normalize(form, path.name) for form in ("NFC", "NFD"))
+    return next(filter(os.path.lexists, forms), folder / path.name)

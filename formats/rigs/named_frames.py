@@ -58,7 +58,8 @@ def frames_of_cameras(
     _check_one_each(of)
     lacking = [name for name in spellings if name not in of]
     if lacking and not may_lack:
-        refuse_unknown_kinds(entry for entry in list_folder(folder) if _fits(entry, spellings[lacking[0]]))
+        beside = (entry for entry in list_folder(folder) if entry != calibration)
+        refuse_unknown_kinds(entry for entry in beside if _fits(entry, spellings[lacking[0]]))
         raise RigError(
             f"{calibration}: no video or picture folder of camera {lacking[0]!r}{_more(lacking)} in {folder}; put it "
             "back, name it as the camera, or take the camera out of the calibration"

@@ -332,6 +332,28 @@ def test_cam_may_stand_before_a_camera_s_name(tmp_path: Path, name: str) -> None
     ]
 
 
+def test_a_camera_whose_file_has_an_unknown_ending_is_not_called_missing(tmp_path: Path) -> None:
+    case = CASES[1]
+    case.write(tmp_path, case.rig())
+    (tmp_path / "calibration.toml").rename(tmp_path / "calib_mid.toml")
+    (tmp_path / "take1_mid.mp4").rename(tmp_path / "take1_mid.wmv")
+    refused(tmp_path, r"take1_mid\.wmv: files ending in \.wmv are not read as frames")
+    (tmp_path / "take1_mid.wmv").unlink()
+    refused(tmp_path, r"no video or picture folder of camera 'mid' in")
+
+
+@pytest.mark.parametrize(
+    ("layout", "file"),
+    [("technicolor", "*.png"), ("frame folders", "frame000002/images/cam02.png"), ("colmap4d", "frame_0002/cam02.png")],
+)
+def test_pictures_of_an_unknown_ending_are_not_called_missing(tmp_path: Path, layout: str, file: str) -> None:
+    case = next(case for case in CASES if case.layout == layout)
+    case.write(tmp_path, case.rig())
+    for path in list(tmp_path.glob(file)):
+        path.rename(path.with_suffix(".heic"))
+    refused(tmp_path, r"\.heic (is there|are not read)|files ending in \.heic are not read")
+
+
 def test_the_calibration_may_be_in_a_folder_of_its_own(tmp_path: Path) -> None:
     """As Pose2Sim's sessions have it: ``calibration/`` and ``videos/``."""
     for index, name in (1, "Calib_scene.toml"), (3, "take.qca.txt"):
