@@ -1,7 +1,7 @@
 // Builds the player's page: `node build.mjs [FOLDER]`. Without a folder it writes where the wheel takes it from.
 // `node build.mjs --package` builds what the package @decogs/player holds, in `dist`, for bundlers to take apart.
 import { execFileSync } from "node:child_process";
-import { cpSync, mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
+import { cpSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 
@@ -72,6 +72,7 @@ const texts = {
   },
 };
 
+if (forPackage) rmSync(folder, { recursive: true, force: true }); // all that lies there is packed
 mkdirSync(folder, { recursive: true });
 const entry = (source) => join(here, "src", source);
 const options = {

@@ -80,8 +80,7 @@ export class Connection {
       else receive(event.data);
     };
     this.worker.onerror = (event) => {
-      const missing = address === null ? "" : `${address} is missing, or `;
-      failed(event.message || notStarted(`${missing}the page's Content-Security-Policy forbids it (worker-src${address === null ? " blob:" : ""})`));
+      failed(event.message || notStarted(`${address === null ? "" : `${address} is missing, or `}the page's Content-Security-Policy forbids it (worker-src)`));
     };
     if (early === null) this.send({ type: "open", source, follow, first });
     else setTimeout(hearEarlier); // as messages come: not before whoever opens the stream is done

@@ -72,7 +72,7 @@ export async function served(folders, options = { ranges: true }) {
       } else response.writeHead(200, compressed).end(stored);
       return;
     }
-    const headers = { "content-type": TYPES[extname(path)] ?? "application/octet-stream", "cache-control": "no-store", ...options.headers };
+    const headers = { "content-type": TYPES[extname(path)] ?? "application/octet-stream", "cache-control": name === "data" ? "no-store" : "max-age=60", ...options.headers };
     const range = options.ranges && /^bytes=(\d+)-(\d*)$/.exec(request.headers.range ?? "");
     if (options.ranges) headers["accept-ranges"] = "bytes";
     if (!range) {
