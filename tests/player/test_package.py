@@ -68,10 +68,15 @@ PAGE = """<!doctype html><html><head><meta charset="utf-8"><link rel="icon" href
 <script type="module" src="SCRIPT"></script></body></html>"""
 SCRIPT = """
 import "@decogs/player";
+import { createFrameSource } from "@decogs/player/decoder";
 import { DecogsObject } from "@decogs/player/three";
 import { PerspectiveCamera, Scene, WebGLRenderer } from "three";
 
 const exact = new URLSearchParams(location.search).get("exact");
+createFrameSource("scene.dgs").then(
+  async (source) => (globalThis.decoded = (await source.getFrame(0))[0].count > 0),
+  (error) => (globalThis.decoded = error.message),
+);
 if (exact) document.querySelector("decogs-player").setAttribute("exact", exact);
 if (document.createElement("canvas").getContext("webgl2")) {
   const renderer = new WebGLRenderer();
@@ -97,7 +102,7 @@ BUNDLERS = {
     ],
 }
 """The commands of four, with what they do by themselves."""
-PLAYED = {"frame": 0, "error": None, "drawn": True, "complaints": []}
+PLAYED = {"frame": 0, "error": None, "decoded": True, "drawn": True, "complaints": []}
 EACH_WAY = {
     "chosen": PLAYED | {"exact": True, "inScene": 0},
     "webgl2": PLAYED | {"exact": False, "inScene": 0},

@@ -36,11 +36,13 @@ for (const [name, exact, webgl] of [["chosen", null, true], ["webgl2", "off", tr
     const player = document.querySelector("decogs-player");
     return player.error || (player.figures?.pictures > 0 && player.shadowRoot.querySelector(".bar"));
   });
+  await page.waitForFunction(() => globalThis.decoded !== undefined);
   if (webgl) await page.waitForFunction(() => globalThis.inScene.error ?? globalThis.inScene.info);
   await page.waitForTimeout(500);
   told[name] = await page.evaluate(() => {
     const { exact, error, info } = document.querySelector("decogs-player");
-    return { frame: info?.frame, exact, error, inScene: globalThis.inScene && (globalThis.inScene.error ?? globalThis.inScene.info.frame) };
+    const { decoded } = globalThis;
+    return { frame: info?.frame, exact, error, decoded, inScene: globalThis.inScene && (globalThis.inScene.error ?? globalThis.inScene.info.frame) };
   });
   Object.assign(told[name], { drawn: (await colours(page)) > 500, complaints });
   await browser.close();
