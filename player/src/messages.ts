@@ -30,6 +30,8 @@ export type ToWorker =
   | { readonly type: "exact"; readonly camera: PinholeCamera }
   /** Draw the keyframe at or before a frame with the kernel; answered by a "still". */
   | { readonly type: "still"; readonly frame: number; readonly camera: PinholeCamera }
+  /** Answers a "kernel": the exact picture's kernel; null: it cannot be had, and `problem` says why. */
+  | { readonly type: "kernel"; readonly bytes: ArrayBuffer | null; readonly problem: string }
   /** Give the frame that is shown as a .ply; answered by a "ply". */
   | { readonly type: "ply" }
   /** The sound of frames from one up to, not including, another; answered by a "sound" of the same `request`. */
@@ -153,8 +155,10 @@ export type FromWorker =
   /** The frame to begin with is not known yet; it has to be asked for when it is. */
   | { readonly type: "notYet" }
   | { readonly type: "refreshed"; readonly grown: boolean }
-  /** `picture` null: there is none, and `problem` says why, if something is wrong. */
-  | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null }
+  /** The exact picture's kernel is needed; answered by a "kernel". */
+  | { readonly type: "kernel" }
+  /** `picture` null: there is none, and `problem` says why, if something is wrong. `kernel`: whether there is one to ask again. */
+  | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null; readonly kernel: boolean }
   /** null: there is none. */
   | { readonly type: "still"; readonly picture: ExactPicture | null }
   /** null: there is none, and `problem` says why. */

@@ -51,6 +51,8 @@ export class Pictures {
   #slower = 0;
   #fastMs = 0;
   #judgedMs = 0;
+  /** Whether the kernel gave no picture since somebody chose last. */
+  #kernelFailed = false;
   #overlay: Overlay = "none";
   readonly #detachPointer: () => void;
   #exactly: ExactCanvas | null = null;
@@ -94,6 +96,7 @@ export class Pictures {
   /** What draws from now on begins with the whole frame. Whether another one does. */
   chooseExact(choice: ExactChoice): boolean {
     this.#choice = choice;
+    this.#kernelFailed = false;
     return this.#change();
   }
 
@@ -149,9 +152,19 @@ export class Pictures {
     }
   }
 
-  exactlyDrawn(picture: ExactPicture | null): void {
-    if (picture === null) this.#exactly?.failed();
-    else this.#exactly?.show(picture);
+  /** Whether the first picture is still to come from the kernel. */
+  get awaitsKernel(): boolean {
+    return this.exact && this.#exactly!.empty;
+  }
+
+  exactlyDrawn(picture: ExactPicture | null, problem: string | null): void {
+    if (picture !== null) {
+      this.#exactly?.show(picture);
+      return;
+    }
+    this.#kernelFailed ||= problem !== null;
+    if (this.#change()) this.host.changed();
+    this.#exactly?.failed(problem);
   }
 
   dispose(): void {
@@ -171,7 +184,7 @@ export class Pictures {
   }
 
   #rightRenderer(): Renderer {
-    const fast = (this.#choice ?? this.#automatic) ? null : this.#fast;
+    const fast = !this.#kernelFailed && (this.#choice ?? this.#automatic) ? null : this.#fast;
     this.#exactCanvas.hidden = fast !== null;
     this.#canvas.style.opacity = fast === null ? "0" : ""; // the other one may be transparent
     if (fast !== null) return fast;

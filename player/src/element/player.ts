@@ -43,7 +43,10 @@ const UNNAMED = "Free-viewpoint video";
 /** Where the project's own tests look inside; nothing of it is promised to anybody. */
 const INSIDE = Symbol.for("decogs.inside");
 
-export class DecogsPlayer extends HTMLElement implements PlayerApi {
+/** A server evaluates the module, too, and has no elements. */
+const Element = "HTMLElement" in globalThis ? HTMLElement : (Object as unknown as typeof HTMLElement);
+
+export class DecogsPlayer extends Element implements PlayerApi {
   static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted"];
 
   readonly #root = this.attachShadow({ mode: "open" });

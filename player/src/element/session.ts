@@ -21,7 +21,11 @@ export type Start = { readonly seconds: number } | { readonly frame: number };
 /** What draws a stream: the element's pictures, or a scene of somebody else's. */
 export interface Drawing {
   begin(layout: TextureLayout, header: StreamHeader): void;
-  exactlyDrawn(picture: ExactPicture | null): void;
+  exactlyDrawn(picture: ExactPicture | null, problem: string | null): void;
+  /** Whether the kernel draws, and has not drawn anything yet. */
+  readonly awaitsKernel: boolean;
+  /** Whether the kernel is the one that draws. */
+  readonly exact: boolean;
   readonly stage: {
     begin(): void;
     load(update: SceneUpdate | null, draw: DrawOrder): void;
@@ -86,6 +90,8 @@ export class Session {
   /** Those who wait until playing has begun. */
   #beginnings: { readonly begun: () => void; readonly refused: (reason: DOMException) => void }[] = [];
   #notice: string | null = null;
+  /** Why WebGL2 draws where the kernel was to; null where nothing is amiss. */
+  #instead: string | null = null;
   /** Those who wait for pictures of keyframes. */
   #stillAsked: ((picture: ExactPicture | null) => void)[] = [];
   /** Those who wait for the frame as a .ply. */
@@ -101,17 +107,16 @@ export class Session {
     const { start } = this;
     const first = start === null ? 0 : "frame" in start ? start.frame : null;
     this.#requested = first ?? -1;
-    this.#connection = new Connection(
-      source,
-      follow,
-      first,
-      (message) => {
+    const failed = (message: string): void => {
+      this.fail(message);
+    };
+    try {
+      this.#connection = new Connection(source, follow, first, (message) => {
         this.#receive(message);
-      },
-      (message) => {
-        this.fail(message);
-      },
-    );
+      }, failed);
+    } catch (error) {
+      failed(error instanceof Error ? error.message : String(error));
+    }
   }
 
   close(): void {
@@ -126,7 +131,7 @@ export class Session {
     this.sound.close();
     if (!playing) this.#refuse("AbortError", "another stream was opened, or the player has left the page");
     const emptied = this.header !== null;
-    this.header = this.info = this.error = this.#notice = this.#trouble = null;
+    this.header = this.info = this.error = this.#notice = this.#trouble = this.#instead = null;
     this.waiting = false;
     this.buffered = [];
     this.#setBusy(false);
@@ -174,6 +179,7 @@ export class Session {
   play(): Promise<void> {
     const { playback } = this;
     if (this.error !== null) this.#again();
+    if (this.error !== null) return Promise.reject(new DOMException(this.error, "NotSupportedError"));
     if (!playback.playing) {
       if (this.#standIn >= 0 || playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
       playback.playing = true;
@@ -246,7 +252,7 @@ export class Session {
   }
 
   warn(): void {
-    this.host.warn(this.error ?? this.#trouble ?? this.info?.damage ?? this.#notice);
+    this.host.warn(this.error ?? this.#trouble ?? this.info?.damage ?? this.#notice ?? this.#instead);
   }
 
   #receive(message: FromWorker): void {
@@ -266,8 +272,7 @@ export class Session {
         this.#recycle(message.draw.order);
         break;
       case "exact":
-        this.#pictures!.exactlyDrawn(message.picture);
-        if (message.problem !== null) this.notice(message.problem);
+        this.#exactlyDrawn(message);
         break;
       case "still":
         this.#stillAsked.shift()?.(message.picture);
@@ -357,15 +362,32 @@ export class Session {
       this.host.tell("loadeddata");
       this.host.tell("canplay");
     }
-    if (this.#beginnings.length > 0) {
-      for (const { begun } of this.#beginnings.splice(0)) begun();
-      this.host.tell("playing");
-    } else if (first && this.playback.playing) this.host.tell("playing");
+    if (this.#beginnings.length > 0) this.#begin();
+    else if (first && this.playback.playing) this.host.tell("playing");
     this.host.tell("timeupdate");
     if (this.#seekLater < 0 && this.#seekRequest >= 0 && message.request >= this.#seekRequest) {
       this.#seekRequest = -1;
       this.host.tell("seeked");
     }
+  }
+
+  /** Where the kernel gives no picture, WebGL2 draws instead, which is said; without WebGL2, nothing does. */
+  #exactlyDrawn({ picture, problem, kernel }: Extract<FromWorker, { type: "exact" }>): void {
+    const pictures = this.#pictures!;
+    pictures.exactlyDrawn(picture, problem);
+    if (picture !== null) this.#instead = null;
+    else if (problem !== null && !pictures.exact) this.#instead = `WebGL2 draws: ${problem}`;
+    else if (problem !== null && kernel && !pictures.awaitsKernel) this.#notice = problem;
+    else if (problem !== null && this.error === null) this.fail(problem);
+    this.warn();
+    this.#begin();
+  }
+
+  /** Playing has begun for those who wait for it, once there is something to be seen. */
+  #begin(): void {
+    if (!this.#begun || this.#beginnings.length === 0) return;
+    for (const { begun } of this.#beginnings.splice(0)) begun();
+    this.host.tell("playing");
   }
 
   #sorted({ count, sortMs }: { readonly count: number; readonly sortMs: number }): void {
@@ -385,7 +407,7 @@ export class Session {
   }
 
   get #begun(): boolean {
-    return this.info !== null && this.error === null;
+    return this.info !== null && this.error === null && this.#pictures?.awaitsKernel !== true;
   }
 
   /** What failed is asked for once more. */

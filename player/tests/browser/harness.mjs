@@ -27,6 +27,16 @@ export async function started(folders = {}) {
       await page.goto(`${server.address}/page/index.html?src=/${folder}/${stream}.dgs${webgl}${query}`);
       return page;
     },
+    /** A page of one's own at an address of the player's, with headers; scripts, style sheets and stream are the page's. */
+    async own(html, { headers = {}, width = 400, height = 300, ...more } = {}) {
+      const context = await browser.newContext({ viewport: { width, height }, ...more });
+      const page = await context.newPage();
+      page.complaints = [];
+      page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
+      await page.route("**/page/own.html", (route) => route.fulfill({ contentType: "text/html", headers, body: html }));
+      await page.goto(`${server.address}/page/own.html`);
+      return page;
+    },
     async close() {
       await browser.close();
       await server.close();
