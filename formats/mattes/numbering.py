@@ -16,6 +16,7 @@ from ..rigs.sources import FrameSource, PictureSource
 from ..rigs.timeline import CameraClock, RigIndex, StreamIndex, rig_index
 
 _Numbers = Sequence[tuple[int, ...]]
+_REMEDY = "name them as the pictures, or count them from 0 at the rig's first frame"
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ def mattes_of_recording(
     recorded = [clock.recorded_index(RigIndex(frame)) for frame in range(count)]
     readings = list(_by_names(files, recording, recorded)) or [
         *_by_numbers(files, recording, recorded),
-        *_counted("count from 0 at the rig's first frame", files, count, range(count)),
-        *_counted("count from 0 at the recording's first frame", files, recording.frame_count, recorded),
+        *_counted("count from 0 at the rig's first frame", files, count, range(count), frames),
+        *_counted("count from 0 at the recording's first frame", files, recording.frame_count, recorded, frames),
         *_in_order("are taken in order", files, count, range(count)),
         *_in_order("are taken in order", files, recording.frame_count, recorded),
     ]
@@ -61,8 +62,8 @@ def mattes_of_stream(folder: Path, files: Sequence[Path], first: int, count: int
     """
     of_rig = [rig_index(RigIndex(first), StreamIndex(frame)) for frame in range(count)]
     readings = [
-        *_counted("count from 0 at the rig's first frame", files, None, of_rig),
-        *_counted("count from 0 at the stream's first frame", files, count, range(count)),
+        *_counted("count from 0 at the rig's first frame", files, None, of_rig, frames),
+        *_counted("count from 0 at the stream's first frame", files, count, range(count), frames),
         *_in_order("are taken in order", files, count, range(count)),
     ]
     return _chosen(folder, files, readings, count, frames)
@@ -90,11 +91,18 @@ def _belong(given: Sequence[object], own: Sequence[object]) -> bool:
     return set(given) <= set(own) or (set(own) <= set(given) and given[0] == own[0])
 
 
-def _counted(words: str, files: Sequence[Path], most: int | None, wanted: Sequence[int]) -> Iterator[_Reading]:
-    """Numbers that count from 0 to below ``most``; ``wanted``: the number of each frame."""
+def _counted(
+    words: str, files: Sequence[Path], most: int | None, wanted: Sequence[int], frames: range
+) -> Iterator[_Reading]:
+    """Numbers that count from 0 to below ``most``; ``wanted``: the number of each frame.
+
+    0 is there, or these ``frames`` and no others are: else they may count from 1 as well.
+    """
     numbers = _numbers(files)
     if numbers and all(len(number) == 1 and (most is None or number[0] < most) for number in numbers):
         given = {number[0]: file for number, file in zip(numbers, files, strict=True)}
+        if 0 not in given and set(given) != {wanted[frame] for frame in frames}:
+            return
         at = {frame: given[number] for frame, number in enumerate(wanted) if number in given}
         yield _Reading(words, at, len(files) == most)
 
@@ -129,7 +137,7 @@ def _chosen(
     if not any(frame in reading.files for reading in readings for frame in frames):
         raise RigError(
             f"{folder}: the numbers of its {len(files)} mattes, {files[0].name} to {files[-1].name}, fit neither its "
-            f"camera's pictures nor {count} frames from 0 on; give them the names of the pictures"
+            f"camera's pictures nor {count} frames; {_REMEDY}"
         )
     fitting = [reading for reading in readings if reading.has(frames)]
     if not fitting and may_lack:
@@ -144,7 +152,7 @@ def _chosen(
         if any(best.files.get(frame) != other.files.get(frame) for frame in frames):
             raise RigError(
                 f"{folder}: it is not sure which frame a matte is of: frame {frames.start} is {_of(best, frames)}, or "
-                f"{_of(other, frames)}; give them the names of the pictures"
+                f"{_of(other, frames)}; {_REMEDY}"
             )
     return tuple(best.files.get(frame, Path()) for frame in range(count))
 

@@ -61,6 +61,8 @@ def numbers_of(
         (FROM_0, range(1001, 1011), range(10), list(range(1001, 1011))),  # as many, in order
         (None, FROM_1, range(10), list(range(1, 11))),
         (None, [2, 3, 4], range(2, 5), [2, 3, 4]),
+        (FROM_1, range(1, 7), range(1, 5), [2, 3, 4, 5]),
+        (FROM_1, [1, 2, 3, 4], range(1, 5), [1, 2, 3, 4]),  # those of the frames that are encoded, from 0
     ],
 )
 def test_numbers_tell_the_frame(
@@ -82,8 +84,8 @@ def test_numbers_tell_the_frame(
         (FROM_0, [0, 1, 2, 3, 4, 5, 6, 7, 8], range(10), "no matte of frame 9; give one for every frame"),
         (FROM_0, [0, 9], range(10), "no matte of frame 1; give one for every frame"),
         (FROM_1, range(11), range(10), "fit neither"),  # one too many, at which end?
-        (FROM_1, range(1, 7), range(1, 5), "not sure .*: frame 1 is 0002.png if they have the numbers of its pictures"),
         (FROM_0, [], range(10), "no matte of frame 0"),
+        (None, range(1, 7), range(1, 5), "fit neither"),  # from 0 or from 1?
     ],
 )
 def test_what_is_not_sure_is_refused(

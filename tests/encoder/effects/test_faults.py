@@ -220,7 +220,8 @@ def test_the_page_shows_the_plan_every_camera_and_what_is_wrong(
     assert "camera cam01 is out of focus" in page.text
     assert "src='http" not in document
     assert analyze_main([str(rig), "-o", str(rig / "cam00.mp4"), "-q"]) == 2
-    assert "--output" in capfd.readouterr().err
+    assert "cam00.mp4" in capfd.readouterr().err
+    assert (rig / "cam00.mp4").stat().st_size
 
 
 SCENES = {
