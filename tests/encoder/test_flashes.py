@@ -53,6 +53,7 @@ def happened(index: int, picture: np.ndarray, memory: Memory, scene: Any) -> Eve
         method=SimpleNamespace(dense=False),
         threads=1,
         views=SimpleNamespace(pictures=lambda splats: [DARK]),
+        ingest=SimpleNamespace(views=[]),
     )
     recorded = RigFrame(index, [picture], [])
     return what_happened(context, scene, memory, PendingFrame(recorded, recorded, {}), Stopwatch())
