@@ -28,6 +28,7 @@ from decogs.formats.command_line import (
 )
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.frame_ranges import frame_range
+from decogs.formats.unicode_forms import composed
 
 from .input.mattes.options import add_matte_options, matte_choice
 from .output.reports import frames_text
@@ -85,7 +86,12 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
         "--scale", type=number, default=1.0, metavar="S", help="scale of the training pictures (default 1)"
     )
     group.add_argument(
-        "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
+        "--holdout",
+        action="append",
+        default=[],
+        type=composed,
+        metavar="CAM",
+        help="keep a camera out of training (repeatable)",
     )
     group.add_argument(
         "--audio",
@@ -98,6 +104,7 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
         "--exclude",
         action="append",
         default=[],
+        type=composed,
         metavar="CAM",
         help="leave a camera out altogether, such as one that decogs-analyze calls harmful (repeatable)",
     )

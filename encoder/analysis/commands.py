@@ -19,6 +19,7 @@ from decogs.formats.outputs import (
     is_device,
     write_whole,
 )
+from decogs.formats.unicode_forms import composed
 
 from ..input.mattes.options import add_matte_options, matte_choice
 from ..synchronisation.commands import add_sync_option, rig_in_step
@@ -42,10 +43,20 @@ def analyze_parser() -> Parser:
     )
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
     parser.add_argument(
-        "--holdout", action="append", default=[], metavar="CAM", help="do not look at a camera (repeatable)"
+        "--holdout",
+        action="append",
+        default=[],
+        type=composed,
+        metavar="CAM",
+        help="do not look at a camera (repeatable)",
     )
     parser.add_argument(
-        "--exclude", action="append", default=[], metavar="CAM", help="the same, as decogs-encode has it (repeatable)"
+        "--exclude",
+        action="append",
+        default=[],
+        type=composed,
+        metavar="CAM",
+        help="the same, as decogs-encode has it (repeatable)",
     )
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
     parser.add_argument(

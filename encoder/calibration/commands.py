@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as, whole_number
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import staged_files
+from decogs.formats.unicode_forms import composed
 
 if TYPE_CHECKING:
     from decogs.formats.cameras import Camera
@@ -55,6 +56,7 @@ def calibrate_parser() -> Parser:
     )
     parser.add_argument(
         "--distance",
+        type=composed,
         metavar="CAM_A:CAM_B:METRES",
         help="between two cameras: the unit becomes the metre (without a board)",
     )

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 import rig_layouts as layouts
+from decogs.encoder.calibration.commands import calibrate_parser
 from decogs.encoder.calibration.footage import open_footage
 from decogs.encoder.calibration.given import given_lenses
+from decogs.encoder.commands import encode_parser
 from decogs.encoder.synchronisation.sync_file import read_starts
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
@@ -126,3 +128,12 @@ def test_two_cameras_of_one_name_are_refused(tmp_path: Path) -> None:
         layouts.write_video(tmp_path / f"{in_form(form)[0]}.mp4", layouts.SIZE)  # type: ignore[arg-type]
     with pytest.raises(RigError, match="two files are called für"):
         open_footage(tmp_path)
+
+
+def test_options_name_cameras_in_either_form() -> None:
+    composed, taken_apart = (in_form(form)[0] for form in ("NFC", "NFD"))  # type: ignore[arg-type]
+    given = ["rig", "-o", "x.dgs", "--holdout", taken_apart, "--exclude", composed]
+    options = encode_parser().parse_args(given)
+    assert (options.holdout, options.exclude) == ([composed], [composed])
+    options = calibrate_parser().parse_args(["videos", "-o", "rig", "--distance", f"{taken_apart}:b:2"])
+    assert options.distance == f"{composed}:b:2"
