@@ -166,7 +166,7 @@ def _add_effects(group: argparse._ArgumentGroup) -> None:
         "--effects",
         metavar="E",
         help="auto (default): analyse the rig as decogs-analyze does and enable the effects detected in it and in each "
-        "frame; all; none; or names with commas; -NAME disables one: auto,-camera_shake",
+        "frame; all; none; or names with commas; -NAME disables one: auto,-camera_shake, or --effects=-camera_shake",
     )
 
 

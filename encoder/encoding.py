@@ -18,7 +18,7 @@ from decogs.formats.threads import thread_count
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
-from .analysis.faults import MOVING
+from .analysis.faults import REFUSED
 from .backends import check_device
 from .frame.context import Context
 from .input.compositing import background_for
@@ -290,9 +290,9 @@ def _with_effects(
         found = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
         for warning in found.check.warnings():
             warn(warning)
-        moving = [fault for camera in found.check.cameras for fault in camera.faults if fault.word == MOVING]
-        if moving:
-            raise RigError(f"{work.rig.path}: {moving[0]}")
+        refused = [fault for camera in found.check.cameras for fault in camera.faults if fault.word in REFUSED]
+        if refused:
+            raise RigError(f"{work.rig.path}: {refused[0]}")
         observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
         return found.decisions
 

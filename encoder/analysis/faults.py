@@ -14,15 +14,19 @@ SWAPPED, TURNED, MISPLACED = "swapped", "turned", "misplaced"
 LATE = "late"
 """Or early: its frames are not of the others' moments."""
 BLURRED, NOISY, EXPOSURE = "blurred", "noisy", "exposure"
-MOVING = "moving"
+MOVING, NOISE = "moving", "noise"
 
-_HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, BLURRED, MOVING}
+REFUSED = {MOVING, NOISE}
+"""With which an encode is refused."""
+_HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, BLURRED} | REFUSED
 
 BLURRED_BELOW = 0.45
 """Sharpness, over the cameras' median, below which a camera is out of focus: a blur of 2 pixels leaves .15, sharp
 cameras of one rig have .7 and more."""
 _NOISY_TIMES, _NOISY_LEVELS = 3.0, 2.0
 """Noise over the cameras' median, and in levels, from which a camera is noisy."""
+_ONLY_NOISE_LEVELS = 25.0
+"""Noise of pictures that show nothing else, if no other camera's match: white noise has 50 to 74 levels."""
 _LATE_FRAMES = 0.5
 """Frames from which a camera is late or early."""
 EXPOSED_STOPS = 0.8
@@ -37,7 +41,8 @@ class Findings:
 
     ``turned``: degrees; ``late``: frames; ``residual``: pixels; NaN where unknown. ``sharpness``: of its details, over
     the cameras' median; ``noise``: levels, ``usual_noise``: the cameras' median; ``stops``: its exposure against the
-    median camera. ``swapped``: the camera whose pictures it has.
+    median camera. ``swapped``: the camera whose pictures it has. ``matched``: whether another camera's pictures have
+    what its own show.
     """
 
     camera: str
@@ -56,6 +61,7 @@ class Findings:
     usual_noise: float = math.nan
     stops: float = math.nan
     moving: bool = False
+    matched: bool = True
 
 
 @dataclass(frozen=True)
@@ -85,6 +91,13 @@ def faults_of(found: Findings) -> Iterator[Fault]:
 
     if found.lost:
         yield fault(DEAD, f"shows nothing in {_frames(found.lost)}", f"see to its cable and exposure, {left_out}")
+        return
+    if found.noise >= _ONLY_NOISE_LEVELS and not found.matched:
+        yield fault(
+            NOISE,
+            f"shows noise of {found.noise:.0f} levels and nothing that two cameras agree on",
+            f"look at its recording, {left_out}",
+        )
         return
     is_blurred = found.sharpness < BLURRED_BELOW
     # What is out of focus has little noise of its own, too.

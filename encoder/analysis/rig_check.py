@@ -251,6 +251,7 @@ def judge_rig(
             turned=float(poses.turned[row]),
             residual=float(poses.residuals[row]),
             late=float(late[row]),
+            matched=bool(connected[row]),
         )
         faults = tuple(faults_of(own))
         checks.append(

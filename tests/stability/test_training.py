@@ -267,7 +267,7 @@ def test_a_camera_that_ends_earlier_than_the_others_is_refused_by_name(moving: A
 def test_a_keyframe_is_not_trained_on_a_black_picture(moving: Any, edit_picture: Any, tmp_path: Path) -> None:
     rig = copied(moving[0], tmp_path)
     edit_picture(rig, "cam03", 0, lambda picture: picture * 0)
-    with pytest.raises(RigError, match=r"camera cam03 is black in frame 0.*`holdout` cam03"):
+    with pytest.raises(RigError, match=r"camera cam03 is black in frame 0.*`exclude` cam03"):
         encode_rig(rig, tmp_path / "x.dgs", settings="draft")
     assert not (tmp_path / "x.dgs").exists()
 

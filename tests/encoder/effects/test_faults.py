@@ -18,7 +18,7 @@ import pytest
 from decogs.encoder import EncodeJob, encode
 from decogs.encoder.analysis.analyse import Analysis, analyse
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.analysis.faults import GOOD, HARMFUL, USABLE
+from decogs.encoder.analysis.faults import GOOD, HARMFUL, USABLE, Findings, faults_of
 from decogs.encoder.analysis.recordings import find_lost
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError, UsageError
@@ -259,3 +259,21 @@ def test_nothing_else_is_named_on_untouched_rigs(folder: str) -> None:
     assert {path.name: trouble(analyse(path)) for path in found} == {
         path.name: KNOWN.get(path.name, {}) for path in found
     }
+
+
+@pytest.mark.parametrize(("matched", "words"), [(False, ["noise"]), (True, ["moving", "blurred", "noisy"])])
+def test_noise_that_no_other_camera_shares_is_the_only_fault(matched: bool, words: list[str]) -> None:
+    found = Findings("cam05", noise=74.0, usual_noise=1.2, sharpness=0.04, moving=True, matched=matched)
+    assert [fault.word for fault in faults_of(found)] == words
+
+
+def test_an_encode_of_white_noise_says_that_it_is_noise(
+    wall: tuple[list[Camera], list[np.ndarray]], tmp_path: Path
+) -> None:
+    cameras, pictures = wall
+    random = np.random.default_rng(2)
+    noise = [random.integers(0, 256, own[:3].shape, dtype=np.uint8) for own in pictures]
+    with pytest.raises(
+        RigError, match=r"camera cam\w+ shows noise of \d\d levels and nothing that two cameras agree on"
+    ):
+        encode(EncodeJob(write_rig(cameras, noise, tmp_path / "rig"), tmp_path / "a.dgs", "live", effects="auto"))
