@@ -34,74 +34,14 @@ Expendable = Callable[[Path], bool]
 
 _Place = tuple[int, int] | str
 
-_VIDEOS = frozenset(
-    {
-        ".mp4",
-        ".mov",
-        ".m4v",
-        ".mkv",
-        ".webm",
-        ".avi",
-        ".mxf",
-        ".ts",
-        ".m2ts",
-        ".mts",
-        ".mpg",
-        ".mpeg",
-        ".wmv",
-        ".y4m",
-        ".yuv",
-        ".rgb",
-    }
-)
-_SOUNDS = frozenset(
-    {".wav", ".w64", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".aiff", ".caf", ".ac3", ".eac3", ".wma"}
-)
-_PICTURES = frozenset(
-    {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".heic", ".webp", ".bmp", ".dpx", ".hdr", ".gif"}
-)
-_SCENES = frozenset(
-    {
-        ".dgs",
-        ".ply",
-        ".spz",
-        ".sog",
-        ".splat",
-        ".glb",
-        ".gltf",
-        ".obj",
-        ".fbx",
-        ".abc",
-        ".usd",
-        ".usda",
-        ".usdc",
-        ".usdz",
-        ".blend",
-    }
-)
-_OTHERS = frozenset(
-    {
-        ".npy",
-        ".npz",
-        ".h5",
-        ".zip",
-        ".tar",
-        ".gz",
-        ".pdf",
-        ".toml",
-        ".yaml",
-        ".yml",
-        ".json",
-        ".jsonl",
-        ".txt",
-        ".csv",
-        ".xml",
-        ".html",
-        ".md",
-        ".py",
-    }
-)
-ENDINGS = _VIDEOS | _SOUNDS | _PICTURES | _SCENES | _OTHERS
+ENDINGS = frozenset({
+    ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mxf", ".ts", ".m2ts", ".mts", ".mpg", ".mpeg", ".wmv", ".y4m",
+    ".yuv", ".rgb", ".wav", ".w64", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".aiff", ".caf", ".ac3", ".eac3",
+    ".wma", ".au", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".heic", ".webp", ".bmp", ".dpx", ".hdr", ".gif",
+    ".dgs", ".ply", ".spz", ".sog", ".splat", ".glb", ".gltf", ".obj", ".fbx", ".abc", ".usd", ".usda", ".usdc",
+    ".usdz", ".blend", ".npy", ".npz", ".h5", ".zip", ".tar", ".gz", ".pdf", ".toml", ".yaml", ".yml", ".json",
+    ".jsonl", ".txt", ".csv", ".xml", ".html", ".md", ".py",
+})  # fmt: skip
 """Endings that say what a file holds."""
 
 _FIRST_BYTES = 64
@@ -161,8 +101,7 @@ def files_read(**read: object) -> list[tuple[Path, str]]:
 
 
 def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]]) -> None:
-    """Raises UsageError when an output would be written over an input, two outputs in one place, or one over a file of
-    another format.
+    """Raises UsageError when an output would be written over an input, over another output or a file of another format.
 
     ``inputs``: each file that is read, and what it is called.
     """

@@ -65,7 +65,7 @@ def read_sound(path: Path, seconds: float, begin: float = 0.0) -> Sound | None:
     if shown is None or not heard:
         return None
     first = min(begun for begun, _ in heard)
-    placed = [(round((begun - first) * RATE), samples) for begun, samples in heard]
+    placed = [(round((begun - first) * RATE), samples) for begun, samples in heard if begun - first <= seconds]
     samples = np.zeros(max(place + len(own) for place, own in placed), np.float32)
     for place, own in placed:
         samples[place : place + len(own)] += own / len(placed)
@@ -102,10 +102,14 @@ _FORMATS = "aac,ac3,aiff,asf,au,avi,caf,eac3,flac,matroska,mov,mp3,mpeg,mpegts,m
 """FFmpeg's readers of files that hold sound themselves; a list of other files is none."""
 
 
+_MOST_MICROPHONES = 16
+"""Of a file, which is open once for each of them."""
+
+
 def sound_channels(path: Path) -> int | None:
     """1 or 2, as the sound of a file is to be kept; None where it has none. Raises UsageError for unreadable ones."""
     with _opened_sound(path) as (container, tracks, _):
-        if not tracks or next(container.decode(tracks[0]), None) is None:
+        if not tracks or (len(tracks) == 1 and next(container.decode(tracks[0]), None) is None):
             return None
         return 2 if len(tracks) > 1 else min(tracks[0].codec_context.channels, 2) or 2
 
@@ -198,7 +202,8 @@ def _microphones(container: InputContainer) -> list[AudioStream]:
     if not known or known[0].codec_context.channels != 1:
         return known[:1]
     language = known[0].language
-    return [track for track in known if track.codec_context.channels == 1 and track.language == language]
+    alike = [track for track in known if track.codec_context.channels == 1 and track.language == language]
+    return alike[:_MOST_MICROPHONES]
 
 
 @contextmanager

@@ -103,6 +103,25 @@ def test_every_microphone_is_heard_left_and_right_in_turn(tmp_path: Path, clicks
         assert sound.samples[int((at - sound.delay) * RATE) + 40] == pytest.approx(level / 2, abs=0.01)
 
 
+def test_a_track_that_begins_hours_later_takes_no_memory(tmp_path: Path) -> None:
+    """Time stamps are a stranger's: sound is compared within the seconds that were asked for."""
+    with av.open(str(tmp_path / "a.mkv"), "w") as file:
+        video = file.add_stream("mpeg4", rate=30)
+        video.width, video.height, video.pix_fmt = 32, 32, "yuv420p"
+        tracks = [file.add_stream("pcm_s16le", rate=48_000, layout="mono") for _ in range(2)]
+        picture = av.VideoFrame.from_ndarray(np.full((32, 32, 3), 90, np.uint8), format="rgb24")
+        picture.pts = 0
+        file.mux(video.encode(picture))
+        file.mux(video.encode(None))
+        for track, second in zip(tracks, (0, 10**6), strict=True):
+            frame = av.AudioFrame.from_ndarray(np.full((1, 960), 9_000, np.int16), format="s16", layout="mono")
+            frame.sample_rate, frame.pts, frame.time_base = 48_000, second * 48_000, Fraction(1, 48_000)
+            file.mux(track.encode(frame))
+    sound = read_sound(tmp_path / "a.mkv", 10)
+    assert sound.samples.max() == pytest.approx(9_000 / 32_768, rel=0.1)
+    assert len(sound.samples) < RATE
+
+
 def test_another_language_is_no_microphone(tmp_path: Path) -> None:
     write_microphones(tmp_path / "a.mkv", [0.5, 1.2], ("eng", "fra"))
     assert sound_channels(tmp_path / "a.mkv") == 1
