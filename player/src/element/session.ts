@@ -373,13 +373,16 @@ export class Session {
 
   /** Where the kernel gives no picture, WebGL2 draws instead, which is said; without WebGL2, nothing does. */
   #exactlyDrawn(answer: ExactAnswer): void {
-    const pictures = this.#pictures!;
-    pictures.exactlyDrawn(answer);
     const { picture, problem, kernel } = answer;
+    const pictures = this.#pictures!;
+    const { exact: wanted } = pictures; // or WebGL2 was chosen meanwhile
+    pictures.exactlyDrawn(answer);
     if (picture !== null) this.#instead = null;
-    else if (problem !== null && !pictures.exact) this.#instead = `WebGL2 draws: ${problem}`;
-    else if (problem !== null && kernel && !pictures.awaitsKernel) this.#notice = problem;
-    else if (problem !== null && this.error === null) this.fail(problem);
+    if (problem !== null && wanted) {
+      if (!pictures.exact) this.#instead = `WebGL2 draws: ${problem}`;
+      else if (kernel && !pictures.awaitsKernel) this.#notice = problem;
+      else if (this.error === null) this.fail(problem);
+    }
     this.warn();
     this.#begin();
   }
