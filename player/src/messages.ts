@@ -118,6 +118,14 @@ export interface FrameInfo {
   readonly corrections: ReadonlyMap<string, CameraCorrection>;
 }
 
+/** `picture` null: there is none, and `problem` says why, if something is wrong. `kernel`: whether there is one to ask again. */
+export interface ExactAnswer {
+  readonly type: "exact";
+  readonly picture: ExactPicture | null;
+  readonly problem: string | null;
+  readonly kernel: boolean;
+}
+
 export type FromWorker =
   | {
       readonly type: "opened";
@@ -157,8 +165,7 @@ export type FromWorker =
   | { readonly type: "refreshed"; readonly grown: boolean }
   /** The exact picture's kernel is needed; answered by a "kernel". */
   | { readonly type: "kernel" }
-  /** `picture` null: there is none, and `problem` says why, if something is wrong. `kernel`: whether there is one to ask again. */
-  | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null; readonly kernel: boolean }
+  | ExactAnswer
   /** null: there is none. */
   | { readonly type: "still"; readonly picture: ExactPicture | null }
   /** null: there is none, and `problem` says why. */

@@ -1,4 +1,3 @@
-// What to play, and how the page looks, by its address.
 import { cameraFromLink } from "./decogs-player.js";
 
 // The page's address says what to play: ?src=scene.dgs&follow#camera=...&frame=12

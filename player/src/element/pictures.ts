@@ -6,7 +6,7 @@ import type { Renderer } from "../draw/renderer";
 import type { WebGlRenderer } from "../draw/webgl_renderer";
 import type { PinholeCamera } from "../geometry/camera";
 import type { Overlay } from "../player_api";
-import type { DepthRow, ExactPicture, TextureLayout } from "../messages";
+import type { DepthRow, ExactAnswer, TextureLayout } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Stage, type LookedThrough } from "./stage";
 
@@ -51,7 +51,7 @@ export class Pictures {
   #slower = 0;
   #fastMs = 0;
   #judgedMs = 0;
-  /** Whether the kernel gave no picture since somebody chose last. */
+  /** Whether the kernel has failed since somebody chose last. */
   #kernelFailed = false;
   #overlay: Overlay = "none";
   readonly #detachPointer: () => void;
@@ -157,12 +157,13 @@ export class Pictures {
     return this.exact && this.#exactly!.empty;
   }
 
-  exactlyDrawn(picture: ExactPicture | null, problem: string | null): void {
+  /** One picture that is too large leaves a kernel that somebody chose, and that has drawn. */
+  exactlyDrawn({ picture, problem, kernel }: ExactAnswer): void {
     if (picture !== null) {
       this.#exactly?.show(picture);
       return;
     }
-    this.#kernelFailed ||= problem !== null;
+    if (problem !== null && (!kernel || this.awaitsKernel || this.#choice === null)) this.#kernelFailed = true;
     if (this.#change()) this.host.changed();
     this.#exactly?.failed(problem);
   }

@@ -44,9 +44,9 @@ const UNNAMED = "Free-viewpoint video";
 const INSIDE = Symbol.for("decogs.inside");
 
 /** A server evaluates the module, too, and has no elements. */
-const Element = "HTMLElement" in globalThis ? HTMLElement : (Object as unknown as typeof HTMLElement);
+const Base = "HTMLElement" in globalThis ? HTMLElement : (Object as unknown as typeof HTMLElement);
 
-export class DecogsPlayer extends Element implements PlayerApi {
+export class DecogsPlayer extends Base implements PlayerApi {
   static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted"];
 
   readonly #root = this.attachShadow({ mode: "open" });

@@ -1,7 +1,7 @@
 /** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
 import type { PinholeCamera } from "../geometry/camera";
 import { inItsWorld } from "../geometry/similarity";
-import type { DrawOrder, ExactPicture, FrameInfo, FromWorker, SceneUpdate, TextureLayout, ToWorker } from "../messages";
+import type { DrawOrder, ExactAnswer, ExactPicture, FrameInfo, FromWorker, SceneUpdate, TextureLayout, ToWorker } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Connection, FrameColumns } from "./connection";
 import type { PlayerEvent } from "./events";
@@ -21,7 +21,7 @@ export type Start = { readonly seconds: number } | { readonly frame: number };
 /** What draws a stream: the element's pictures, or a scene of somebody else's. */
 export interface Drawing {
   begin(layout: TextureLayout, header: StreamHeader): void;
-  exactlyDrawn(picture: ExactPicture | null, problem: string | null): void;
+  exactlyDrawn(answer: ExactAnswer): void;
   /** Whether the kernel draws, and has not drawn anything yet. */
   readonly awaitsKernel: boolean;
   /** Whether the kernel is the one that draws. */
@@ -372,13 +372,17 @@ export class Session {
   }
 
   /** Where the kernel gives no picture, WebGL2 draws instead, which is said; without WebGL2, nothing does. */
-  #exactlyDrawn({ picture, problem, kernel }: Extract<FromWorker, { type: "exact" }>): void {
+  #exactlyDrawn(answer: ExactAnswer): void {
+    const { picture, problem, kernel } = answer;
     const pictures = this.#pictures!;
-    pictures.exactlyDrawn(picture, problem);
+    const { exact: wanted } = pictures; // or WebGL2 was chosen meanwhile
+    pictures.exactlyDrawn(answer);
     if (picture !== null) this.#instead = null;
-    else if (problem !== null && !pictures.exact) this.#instead = `WebGL2 draws: ${problem}`;
-    else if (problem !== null && kernel && !pictures.awaitsKernel) this.#notice = problem;
-    else if (problem !== null && this.error === null) this.fail(problem);
+    if (problem !== null && wanted) {
+      if (!pictures.exact) this.#instead = `WebGL2 draws: ${problem}`;
+      else if (kernel && !pictures.awaitsKernel) this.#notice = problem;
+      else if (this.error === null) this.fail(problem);
+    }
     this.warn();
     this.#begin();
   }

@@ -125,6 +125,16 @@ test("without the kernel WebGL2 draws, and a notice says why", async () => {
   await other.context().close();
 });
 
+test("a picture that the kernel cannot draw is refused where the kernel was chosen, and it goes on", async () => {
+  const page = await browser.opened("arc", { query: "&exact" });
+  await until(page, "player.figures?.pictures > 0 && player.exact");
+  const refused = await page.evaluate(() => document.querySelector("decogs-player").capture(8000, 4500).then(() => "", String));
+  assert.match(refused, /8000x4500 cannot be drawn exactly/);
+  assert.equal((await picture(page, 64, 48)).width, 64);
+  assert.deepEqual(await page.evaluate(() => [document.querySelector("decogs-player").exact, document.querySelector("decogs-player").error]), [true, null]);
+  await page.context().close();
+});
+
 test("without the kernel and without WebGL2 the player says what is wrong, and play() is refused", async () => {
   const page = await withoutKernel({ webgl: false });
   const early = await page.evaluate(() => document.querySelector("decogs-player").play().then(() => "plays", ({ name }) => name));
