@@ -204,15 +204,17 @@ def mismatch(points: SharedPoints, lights: Sequence[F64]) -> Mismatch:
 def _seen_overall(shares: F64, overall: F64) -> F64:
     """The ``shares`` (cameras, F, 3) of gains, 0 where the cameras' ``overall`` changes contradict them.
 
-    Overall changes that differ among most cameras, as under local light, do not count.
+    Overall changes that differ among most cameras, as under local light, do not count. A camera whose picture never
+    changes overall has no gain: among drifting ones it has the opposite of the median's.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # No camera is determined in a frame.
         own = overall - np.nanmedian(overall, axis=0)
         usual = np.nanmedian(np.abs(own), axis=0)
+        steady = np.nanmax(np.abs(overall), axis=1, keepdims=True) < FRAME_LIMIT
     needed = _MIN_OVERALL_SHARE * np.abs(shares)
     absent = (usual <= needed) & (own * np.sign(shares) < needed)
-    return np.asarray(np.where(absent, 0.0, shares))
+    return np.asarray(np.where(absent | (steady & np.isfinite(shares)), 0.0, shares))
 
 
 def _near_epipolar(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:

@@ -182,3 +182,9 @@ def test_a_black_picture_tells_nothing() -> None:
     light = own_light(points, lights, [light_overall(black)] * 3)
     assert np.isnan(light.exposure).all()
     assert not light.drifts.any()
+
+
+def test_a_camera_whose_picture_never_changes_has_no_gain_among_those_that_drift(seen: Seen) -> None:
+    """Most grow brighter, so that against their median, some 1.1, the steady one grows darker."""
+    found = seen(1.0, 1.1, 1.12, 1.2, 0.9, 1.25, 1.07)
+    np.testing.assert_array_equal(found.drifts, [False, False, False, True, True, True, False])
