@@ -11,9 +11,21 @@ import type { CameraCorrection, FrameKind, SoundFrame, StreamHeader } from "./sc
 /** Depth of a point along the view: x, y, z weights and an offset, the last row of world-to-camera. */
 export type DepthRow = readonly [number, number, number, number];
 
+/** Which stream to open, and how. */
+export interface Opening {
+  readonly source: string;
+  /** It is still being written. */
+  readonly follow: boolean;
+  /** The frame to show at once, as request 0, without being asked for it; null: none. */
+  readonly first: number | null;
+  /** Nothing is read ahead until another frame is asked for. */
+  readonly sparing?: boolean;
+  /** Another server gets its cookies. */
+  readonly credentials?: "include";
+}
+
 export type ToWorker =
-  /** `first`: the frame to show at once, as request 0, without being asked for it; null: none. */
-  | { readonly type: "open"; readonly source: string; readonly follow: boolean; readonly first: number | null }
+  | ({ readonly type: "open" } & Opening)
   /** Show a frame; the answer is a "frame" or a "failed" message with the same `request`. */
   | { readonly type: "show"; readonly frame: number; readonly request: number }
   /** Look from elsewhere; answered by an "order", with `serial` of the last of several views. */

@@ -1,7 +1,7 @@
 /**
  * `<decogs-player src="scene.dgs" controls>`: plays a stream, with the manners of <video>.
  *
- * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
+ * Attributes: src, controls, autoplay, loop, poster, preload, crossorigin, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
  * quality (a share of the pixels, and fewer Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
@@ -18,13 +18,17 @@ import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type 
 import type { StreamHeader } from "../scene";
 import type { PlayerEvent } from "./events";
 import { adopt, adoptAgain } from "../adopted_style";
+import { AttributeElement, takeOverProperties } from "./attributes";
+import { FrameCallbacks } from "./frame_callbacks";
 import { Headset } from "./headset";
 import { LateControls } from "./late_controls";
 import { PixelRatio } from "./pixel_ratio";
 import { Pictures, type ExactChoice, type PicturesHost } from "./pictures";
+import { Poster } from "./poster";
 import { Ranges } from "./ranges";
 import { RigCameras } from "./rig_cameras";
 import { Session } from "./session";
+import { Sight } from "./sight";
 import style from "./style.css";
 
 const LONGEST_STEP = 0.1;
@@ -43,11 +47,12 @@ const UNNAMED = "Free-viewpoint video";
 /** Where the project's own tests look inside; nothing of it is promised to anybody. */
 const INSIDE = Symbol.for("decogs.inside");
 
-export class DecogsPlayer extends HTMLElement implements PlayerApi {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted"];
+export class DecogsPlayer extends AttributeElement implements PlayerApi {
+  static readonly observedAttributes = ["src", "crossorigin", "preload", "controls", "autoplay", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted"];
 
   readonly #root = this.attachShadow({ mode: "open" });
-  readonly #poster = document.createElement("img");
+  readonly #poster = new Poster();
+  readonly #frameCallbacks = new FrameCallbacks();
   readonly #late = new LateControls(this, this.#root);
   readonly #session = new Session({
     tell: (name) => {
@@ -71,7 +76,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     opened: (header) => {
       this.#opened(header);
     },
-    autoplay: () => this.autoplay,
+    autoplay: () => this.autoplay && !this.#waitsToBeSeen(),
   });
   readonly #headset = new Headset(
     this.#session,
@@ -89,6 +94,8 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   #cameras: RigCameras | null = null;
   /** What to look at when the next stream has come. */
   #startView: View | null = null;
+  #startCamera = "";
+  #overlay: Overlay = "none";
   /** The address of the stream that is open or was open last. */
   #source = "";
   /** Where it stood when the element left the page. */
@@ -96,7 +103,10 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   #comparing = false;
   /** The name that the page's author has not given. */
   #ownName = "";
-  #pausedByHiding = false;
+  /** Whether the stream is opened when somebody plays it. */
+  #deferred = false;
+  /** Whether playing goes on once the player is seen again. */
+  #pausedUnseen = false;
   #ticking = 0;
   #lastTick = 0;
   /** The document that is heard. */
@@ -107,13 +117,14 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   readonly #ratio = new PixelRatio(() => {
     this.#touch();
   });
+  readonly #sight = new Sight(() => {
+    this.#sightChanged();
+  });
 
   constructor() {
     super();
-    this.#poster.className = "poster";
-    this.#poster.alt = "";
     adopt(this.#root, style);
-    this.#root.append(this.#poster);
+    this.#root.append(this.#poster.image);
     for (const name of ["keydown", "keyup"] as const) {
       this.addEventListener(name, (event) => {
         this.#late.key(event);
@@ -126,13 +137,14 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
 
   connectedCallback(): void {
+    takeOverProperties(this);
     if (!this.hasAttribute("tabindex")) this.tabIndex = 0;
     if (!this.hasAttribute("role")) this.setAttribute("role", "region");
     if (!this.hasAttribute("aria-label")) this.#name(UNNAMED);
     this.#resized.observe(this);
     if (this.#document !== this.ownerDocument) this.#moveTo(this.ownerDocument);
     this.#ratio.begin(this.#window);
-    this.#document.addEventListener("visibilitychange", this.#visibilityChanged);
+    this.#sight.begin(this);
     if (this.#pictures === null || this.#source !== this.#address) this.#open();
   }
 
@@ -140,7 +152,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   disconnectedCallback(): void {
     this.#resized.disconnect();
     this.#ratio.end();
-    this.#document.removeEventListener("visibilitychange", this.#visibilityChanged);
+    this.#sight.end();
     queueMicrotask(() => {
       if (!this.isConnected) this.#leave();
     });
@@ -152,12 +164,13 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
 
   attributeChangedCallback(name: string, before: string | null, value: string | null): void {
     if (before === value) return;
-    if (name === "src" && this.isConnected) this.#open();
+    if ((name === "src" || name === "crossorigin") && this.isConnected) this.#open();
+    if (this.#deferred && !this.#defers) this.#begin();
     if (name === "loop") this.#session.playback.loop = value !== null;
-    if (name === "poster") this.#showPoster(value);
+    if (name === "poster") this.#poster.address = this.poster;
     if (name === "exact" && this.#pictures?.chooseExact(this.#exactChoice) === true) this.#wake();
     if (name === "recorded") void this.#chooseRecorded();
-    if (name === "background") this.#pictures?.layBehind(value);
+    if (name === "background") this.#pictures?.layBehind(value, this.#poster.image);
     if (name === "orbit") this.#sway();
     if (name === "muted") this.muted = value !== null;
     if (name === "limits") this.#limit();
@@ -167,35 +180,9 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     this.#late.panels?.refresh();
   }
 
-  get src(): string {
-    return this.getAttribute("src") ?? "";
-  }
-  set src(value: string) {
-    this.setAttribute("src", value);
-  }
-  get poster(): string {
-    return this.getAttribute("poster") ?? "";
-  }
-  set poster(value: string) {
-    this.setAttribute("poster", value);
-  }
-  get controls(): boolean {
-    return this.hasAttribute("controls");
-  }
-  set controls(value: boolean) {
-    this.toggleAttribute("controls", value);
-  }
-  get autoplay(): boolean {
-    return this.hasAttribute("autoplay");
-  }
-  set autoplay(value: boolean) {
-    this.toggleAttribute("autoplay", value);
-  }
-  get loop(): boolean {
-    return this.hasAttribute("loop");
-  }
-  set loop(value: boolean) {
-    this.toggleAttribute("loop", value);
+  /** The address of the stream that is open. */
+  get currentSrc(): string {
+    return this.#source;
   }
   get range(): Span | null {
     return this.#session.playback.range;
@@ -204,34 +191,20 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (value === null) this.removeAttribute("range");
     else this.setAttribute("range", `${value[0]}:${value[1]}`);
   }
-  get quality(): number {
-    const share = Number(this.getAttribute("quality") ?? 1);
-    return share > 0 && share <= 1 ? share : 1;
-  }
-  set quality(value: number) {
-    if (!(value > 0 && value <= 1)) throw new RangeError("quality must be above 0 and at most 1");
-    this.setAttribute("quality", String(value));
-  }
-  get recorded(): boolean {
-    return this.hasAttribute("recorded");
-  }
-  set recorded(value: boolean) {
-    this.toggleAttribute("recorded", value);
-  }
 
   get volume(): number {
     return this.#session.sound.volume;
   }
   set volume(value: number) {
     this.#session.sound.volume = value;
-    this.#tell("volumechange");
+    this.#volumeChanged();
   }
   get muted(): boolean {
     return this.#session.sound.muted;
   }
   set muted(value: boolean) {
     this.#session.sound.muted = value;
-    this.#tell("volumechange");
+    this.#volumeChanged();
   }
 
   get header(): StreamHeader | null {
@@ -312,10 +285,11 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
 
   get overlay(): Overlay {
-    return this.#pictures?.stage.overlay ?? "none";
+    return this.#overlay;
   }
   set overlay(overlay: Overlay) {
     if (!OVERLAYS.includes(overlay)) throw new RangeError(`overlay must be one of ${OVERLAYS.join(", ")}`);
+    this.#overlay = overlay;
     if (this.#pictures === null) return;
     this.#pictures.overlay = overlay;
     this.#touch();
@@ -346,6 +320,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     return this.#cameras?.current?.name ?? "";
   }
   set camera(name: string) {
+    if (this.#cameras === null) this.#startCamera = name;
     const index = this.#cameras?.named(name) ?? -1;
     if (index >= 0) this.lookThrough(index);
   }
@@ -368,12 +343,23 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
 
   play(): Promise<void> {
+    this.#pausedUnseen = false;
+    if (this.#deferred) this.#begin();
     return this.#session.play();
   }
 
   pause(): void {
-    this.#pausedByHiding = false;
+    this.#pausedUnseen = false;
     this.#session.pause();
+  }
+
+  /** Has a function called once, when the next frame has come into the picture; its number, to take it back with. */
+  requestVideoFrameCallback(callback: VideoFrameRequestCallback): number {
+    return this.#frameCallbacks.request(callback);
+  }
+
+  cancelVideoFrameCallback(request: number): void {
+    this.#frameCallbacks.cancel(request);
   }
 
   currentCamera(width?: number, height?: number): PinholeCamera | null {
@@ -385,7 +371,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (this.#pictures === null || this.info === null) throw new Error("there is no picture yet");
     const size = this.#pixels();
     if (this.recorded) await startRecorded();
-    const picture = await this.#pictures.stage.capture(width ?? size.width, height ?? size.height);
+    const picture = await this.#pictures.stage.capture(width ?? size.width, height ?? size.height, this.#session.lost);
     this.#wake();
     return picture;
   }
@@ -406,6 +392,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
 
   lookThrough(index: number, atOnce = false): void {
     if (this.#cameras?.lookThrough(index, atOnce) === true) this.#cameraPut();
+    this.#poster.giveWay();
   }
 
   nextCamera(step: 1 | -1): void {
@@ -423,7 +410,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
       stage.navigation.goTo(pose, lens, true);
       stage.navigation.moved = true;
       stage.touch();
-      this.#cameraMoved();
+      this.#lookedAround();
     }
   }
 
@@ -440,7 +427,7 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   fly(direction: Vector): void {
     if (this.#pictures === null) return;
     this.#pictures.stage.navigation.flight = direction;
-    this.#cameraMoved();
+    this.#lookedAround();
   }
 
   recordedPlace(): Place | null {
@@ -487,13 +474,21 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     if (stage === undefined || this.#headset.entered) return;
     this.#session.advance(seconds);
     this.#session.sound.listen(stage.navigation.pose);
-    if (stage.step(now, seconds, playback.playing)) this.#poster.hidden = true;
-    this.#pictures?.judge();
+    if (!this.#sight.offScreen) {
+      if (stage.step(now, seconds, playback.playing)) this.#drawn(now);
+      this.#pictures?.judge();
+    }
     this.#late.panels?.tick(now);
-    const waiting = playback.playing || stage.pending || stage.renderer.busy;
-    const flying = length(stage.navigation.flight) > 0 || stage.navigation.isSwaying;
-    if (waiting || flying) this.#wake();
+    const changing = stage.pending || stage.renderer.busy || length(stage.navigation.flight) > 0 || stage.navigation.isSwaying;
+    if (playback.playing || (changing && !this.#sight.offScreen)) this.#wake();
   };
+
+  #drawn(now: number): void {
+    this.#poster.drawn();
+    if (this.info === null) return;
+    const { info, fps, videoWidth: width, videoHeight: height } = this;
+    this.#frameCallbacks.drawn(info.frame, now, { width, height, fps, costMs: info.decodeMs + info.packMs });
+  }
 
   get #address(): string {
     return this.src === "" ? "" : new URL(this.src, document.baseURI).href;
@@ -508,13 +503,28 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     }
     if (this.#left?.source === this.#source) this.#session.start ??= { frame: this.#left.frame };
     else this.#left = null;
+    if (this.#defers) {
+      this.#deferred = true;
+      this.#late.start();
+    } else this.#begin();
+  }
+
+  /** Whether nothing is to be read before somebody plays. */
+  get #defers(): boolean {
+    return this.preload === "none" && !this.autoplay && this.#left === null;
+  }
+
+  /** Has the stream come. */
+  #begin(): void {
+    this.#deferred = false;
     try {
       this.#pictures ??= this.#newPictures();
     } catch (error) {
       this.#session.fail(error instanceof Error ? error.message : String(error));
       return;
     }
-    this.#session.open(this.#source, this.hasAttribute("follow"), this.#pictures);
+    const opening = { source: this.#source, follow: this.hasAttribute("follow"), sparing: this.preload === "metadata" && !this.autoplay };
+    this.#session.open(this.crossOrigin === "use-credentials" ? { ...opening, credentials: "include" } : opening, this.#pictures);
   }
 
   /** Gives everything back that an element outside of the page does not need. */
@@ -529,7 +539,10 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
 
   #close(): void {
+    this.#deferred = this.#pausedUnseen = false;
     this.#session.close();
+    this.#poster.stand();
+    this.#frameCallbacks.begin();
     this.#cameras = null;
     this.#late.panels?.refresh();
   }
@@ -544,14 +557,15 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
         this.#session.send({ type: "resend" });
       },
       drawExactly: (camera) => {
-        this.#session.send({ type: "exact", camera });
+        if (this.#session.lost.aborted) this.#pictures?.exactlyDrawn(null);
+        else this.#session.send({ type: "exact", camera });
       },
       lookedThrough: () => {
         const camera = this.recorded ? (this.#cameras?.current ?? null) : null;
         return camera === null ? null : { camera, correction: this.info?.corrections.get(camera.name) ?? null };
       },
       cameraMoved: () => {
-        this.#cameraMoved();
+        this.#lookedAround();
       },
       changed: () => {
         this.#touch();
@@ -562,22 +576,25 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
       },
     };
     const pictures = new Pictures(host, this.#exactChoice);
-    this.#poster.before(...pictures.elements);
+    pictures.overlay = this.#overlay;
+    this.#poster.image.before(...pictures.elements);
     return pictures;
   }
 
   /** The camera that was asked for, or the first; a view that was asked for comes before both. */
   #opened(header: StreamHeader): void {
-    this.#pictures!.layBehind(this.getAttribute("background"));
+    this.#pictures!.layBehind(this.getAttribute("background"), this.#poster.image);
     if (this.getAttribute("aria-label") === this.#ownName) this.#name(header.presentation.title || UNNAMED);
     const cameras = new RigCameras(header, this.#pictures!.stage.navigation);
     this.#cameras = cameras;
     const left = this.#left;
-    const named = cameras.named(left?.camera || this.getAttribute("camera"));
-    this.lookThrough(named >= 0 ? named : cameras.first, true);
+    const named = cameras.named(this.#startCamera || left?.camera || this.getAttribute("camera"));
+    cameras.lookThrough(named >= 0 ? named : cameras.first, true);
+    this.#cameraPut();
     const view = this.#startView ?? (left?.camera === "" ? left.view : null);
     if (view !== null) this.lookFrom(view.pose, view.lens);
     this.#startView = this.#left = null;
+    this.#startCamera = "";
     this.#limit();
     this.#sway();
     if (this.quality < 1) this.#chooseQuality();
@@ -600,7 +617,10 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
 
   #sway(): void {
-    this.#pictures?.stage.navigation.sway(this.hasAttribute("orbit"));
+    if (this.#pictures === null) return;
+    const { navigation } = this.#pictures.stage;
+    navigation.sway(this.hasAttribute("orbit"));
+    if (navigation.isSwaying) this.#poster.giveWay();
     this.#wake();
   }
 
@@ -631,9 +651,10 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
     this.#wake();
   }
 
-  #showPoster(address: string | null): void {
-    this.#poster.hidden = address === null || this.info !== null;
-    if (address !== null) this.#poster.src = address;
+  /** Somebody wants to see the scene from elsewhere. */
+  #lookedAround(): void {
+    this.#poster.giveWay();
+    this.#cameraMoved();
   }
 
   /** The size of the picture in device pixels. */
@@ -644,17 +665,36 @@ export class DecogsPlayer extends HTMLElement implements PlayerApi {
   }
 
   #tell(name: PlayerEvent): void {
+    if (name === "play" || name === "seeking") this.#poster.giveWay();
     this.dispatchEvent(new Event(name));
     this.#late.panels?.refresh();
   }
 
-  readonly #visibilityChanged = (): void => {
-    if (this.#document.hidden) {
-      if (this.paused) return;
+  #volumeChanged(): void {
+    this.#tell("volumechange");
+    this.#sightChanged();
+  }
+
+  /** A player that nobody sees pauses, unless somebody hears it and its page is shown. */
+  get #unseen(): boolean {
+    return this.#sight.pageHidden || (this.#sight.offScreen && !this.#session.sound.audible && !this.#headset.entered);
+  }
+
+  readonly #sightChanged = (): void => {
+    if (!this.#unseen) {
+      if (this.#pausedUnseen) this.play().catch(() => undefined);
+    } else if (!this.paused) {
       this.pause();
-      this.#pausedByHiding = true;
-    } else if (this.#pausedByHiding) this.play().catch(() => undefined);
+      this.#pausedUnseen = true;
+    }
+    this.#wake();
   };
+
+  /** Whether playing by itself has to wait until somebody sees it. */
+  #waitsToBeSeen(): boolean {
+    this.#pausedUnseen ||= this.#unseen;
+    return this.#pausedUnseen;
+  }
 }
 
 /** Frames A:B, as commands have them; null for what is none. */

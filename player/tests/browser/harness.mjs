@@ -7,6 +7,9 @@ import { served } from "./server.mjs";
 export const DATA = process.env.DECOGS_BROWSER_DATA;
 export const listed = () => JSON.parse(readFileSync(join(DATA, "list.json"), "utf8"));
 
+/** Has the element in a page of one's own. */
+export const PLAYER = '<script type="module" src="decogs-player.js"></script>';
+
 export async function started(folders = {}) {
   const server = await served({ page: process.env.DECOGS_PAGE, data: DATA, ...folders });
   const browser = await launched();
@@ -25,6 +28,17 @@ export async function started(folders = {}) {
       // Chromium draws in software here, where the kernel would draw by itself.
       const webgl = automatic || query.includes("&exact") ? "" : "&exact=off";
       await page.goto(`${server.address}/page/index.html?src=/${folder}/${stream}.dgs${webgl}${query}`);
+      return page;
+    },
+    /** A page of one's own at an address of the player's, with headers. */
+    async own(html, { headers = {}, width = 400, height = 300, ...more } = {}) {
+      const context = await browser.newContext({ viewport: { width, height }, ...more });
+      const page = await context.newPage();
+      page.complaints = [];
+      page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
+      page.on("pageerror", (error) => page.complaints.push(String(error)));
+      await page.route("**/page/own.html", (route) => route.fulfill({ contentType: "text/html", headers, body: html }));
+      await page.goto(`${server.address}/page/own.html`);
       return page;
     },
     async close() {

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { picture, psnr, ready, show, started, until } from "./harness.mjs";
+import { PLAYER, picture, psnr, ready, show, started, until } from "./harness.mjs";
 
 let browser;
 before(async () => (browser = await started()));
@@ -67,23 +67,11 @@ test("an element that is moved while it plays goes on, and begins anew with anot
   await page.context().close();
 });
 
-/** A page of one's own at an address of the player's, with headers. */
-async function own(html, { headers = {}, width = 400, height = 300, ...more } = {}) {
-  const context = await browser.browser.newContext({ viewport: { width, height }, ...more });
-  const page = await context.newPage();
-  page.complaints = [];
-  page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
-  await page.route("**/page/own.html", (route) => route.fulfill({ contentType: "text/html", headers, body: html }));
-  await page.goto(`${browser.server.address}/page/own.html`);
-  return page;
-}
-const PLAYER = '<script type="module" src="decogs-player.js"></script>';
-
 const TRUSTED = "require-trusted-types-for 'script'; trusted-types decogs-page decogs-player decogs-controls decogs-crop";
 
 test("under a policy that forbids styles and texts in the page, the player has its size and its controls", async () => {
   const policy = `default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; connect-src 'self'; worker-src 'self'; img-src 'self' data:; ${TRUSTED}`;
-  const page = await own(`<!doctype html>${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player>`, { headers: { "content-security-policy": policy } });
+  const page = await browser.own(`<!doctype html>${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player>`, { headers: { "content-security-policy": policy } });
   // The policy forbids the harness's expressions, too.
   await page.waitForFunction(() => document.querySelector("decogs-player").info && document.querySelector("decogs-player").shadowRoot.querySelector(".bar"));
   const [ratio, inside, radius] = await page.evaluate(() => {
@@ -126,7 +114,7 @@ test("opened from the disk, or without its script, the page says what to do", as
 });
 
 test("a worker that does not come is told, long after its script was asked for as well", async () => {
-  const page = await own(`<!doctype html>${PLAYER}<decogs-player controls></decogs-player>`);
+  const page = await browser.own(`<!doctype html>${PLAYER}<decogs-player controls></decogs-player>`);
   await page.route("**/decogs-worker.js", (route) => route.fulfill({ status: 404 }));
   const asked = page.waitForResponse("**/decogs-worker.js");
   await page.reload();
@@ -197,7 +185,7 @@ test("Escape closes the menu from a field, and the focus goes back to what opene
 });
 
 test("where elements get no full screen, the player fills the window, and Escape leaves it", async () => {
-  const page = await own(`<!doctype html><style>decogs-player { width: 200px; margin: 50px }</style><script>delete Element.prototype.requestFullscreen</script>${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player>`);
+  const page = await browser.own(`<!doctype html><style>decogs-player { width: 200px; margin: 50px }</style><script>delete Element.prototype.requestFullscreen</script>${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player>`);
   await ready(page);
   await page.locator("[name=full]").click();
   const size = () => page.evaluate(() => [document.querySelector("decogs-player").clientWidth, document.querySelector("decogs-player").clientHeight]);
@@ -211,7 +199,7 @@ test("where elements get no full screen, the player fills the window, and Escape
 
 test("with cooperative gestures the wheel and one finger scroll the page; Ctrl and two fingers move the camera", async () => {
   const html = `<!doctype html><meta name="viewport" content="width=device-width">${PLAYER}<decogs-player gestures="cooperative" style="width: 100%; height: 260px" src="/data/dome.dgs"></decogs-player><div style="height: 2000px"></div>`;
-  const page = await own(html, { hasTouch: true, isMobile: true });
+  const page = await browser.own(html, { hasTouch: true, isMobile: true });
   await ready(page);
   await until(page, "player.shadowRoot.querySelector('.notice') !== null");
   const at = () => page.evaluate(() => [scrollY, ...document.querySelector("decogs-player").view.pose.centre]);
@@ -271,7 +259,7 @@ test("in another document, which forgets what was adopted, the player has its lo
 });
 
 test("screen readers hear a stream's title, unless the page has another name", async () => {
-  const page = await own(`<!doctype html>${PLAYER}<decogs-player src="/data/shown0.dgs"></decogs-player><decogs-player src="/data/shown0.dgs" aria-label="Mine"></decogs-player>`);
+  const page = await browser.own(`<!doctype html>${PLAYER}<decogs-player src="/data/shown0.dgs"></decogs-player><decogs-player src="/data/shown0.dgs" aria-label="Mine"></decogs-player>`);
   const names = () => page.evaluate(() => [...document.querySelectorAll("decogs-player")].map((player) => player.ariaLabel));
   await page.waitForFunction(() => [...document.querySelectorAll("decogs-player")].every(({ info }) => info));
   assert.deepEqual(await names(), ["Three <cameras> & a ball", "Mine"]);
@@ -293,7 +281,7 @@ test("other pixels of the screen make another picture", async () => {
 });
 
 test("in a page that goes from right to left, times and speeds are still read from left to right", async () => {
-  const page = await own(`<!doctype html><html dir="rtl">${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player></html>`, { width: 640 });
+  const page = await browser.own(`<!doctype html><html dir="rtl">${PLAYER}<decogs-player controls src="/data/long.dgs"></decogs-player></html>`, { width: 640 });
   await ready(page);
   await until(page, "player.shadowRoot.querySelector('.of')?.textContent !== ''");
   const [now, of] = await page.evaluate(() => [".now-at", ".of"].map((each) => document.querySelector("decogs-player").shadowRoot.querySelector(each).getBoundingClientRect().left));

@@ -1,0 +1,85 @@
+/** Attributes as properties, as HTML's own elements have them. */
+
+import type { PlayerApi } from "../player_api";
+
+const PRELOADS = ["none", "metadata", "auto"] as const;
+
+export abstract class AttributeElement extends HTMLElement {
+  get src(): string {
+    return this.getAttribute("src") ?? "";
+  }
+  set src(value: string) {
+    this.setAttribute("src", value);
+  }
+  get poster(): string {
+    return this.getAttribute("poster") ?? "";
+  }
+  set poster(value: string) {
+    this.setAttribute("poster", value);
+  }
+  get preload(): PlayerApi["preload"] {
+    const value = this.getAttribute("preload")?.toLowerCase();
+    return PRELOADS.find((each) => each === value) ?? "auto";
+  }
+  set preload(value: PlayerApi["preload"]) {
+    this.setAttribute("preload", value);
+  }
+  /** Whether a stream's server gets its cookies where it is another one than the page's. */
+  get crossOrigin(): "anonymous" | "use-credentials" | null {
+    const value = this.getAttribute("crossorigin");
+    if (value === null) return null;
+    return value.toLowerCase() === "use-credentials" ? "use-credentials" : "anonymous";
+  }
+  set crossOrigin(value: string | null) {
+    if (value === null) this.removeAttribute("crossorigin");
+    else this.setAttribute("crossorigin", value);
+  }
+  get controls(): boolean {
+    return this.hasAttribute("controls");
+  }
+  set controls(value: boolean) {
+    this.toggleAttribute("controls", value);
+  }
+  get autoplay(): boolean {
+    return this.hasAttribute("autoplay");
+  }
+  set autoplay(value: boolean) {
+    this.toggleAttribute("autoplay", value);
+  }
+  get loop(): boolean {
+    return this.hasAttribute("loop");
+  }
+  set loop(value: boolean) {
+    this.toggleAttribute("loop", value);
+  }
+  get recorded(): boolean {
+    return this.hasAttribute("recorded");
+  }
+  set recorded(value: boolean) {
+    this.toggleAttribute("recorded", value);
+  }
+  get quality(): number {
+    const share = Number(this.getAttribute("quality") ?? 1);
+    return share > 0 && share <= 1 ? share : 1;
+  }
+  set quality(value: number) {
+    if (!(value > 0 && value <= 1)) throw new RangeError("quality must be above 0 and at most 1");
+    this.setAttribute("quality", String(value));
+  }
+}
+
+/**
+ * Sets properties once more that were set before the element was defined. They lie on the object itself until then, where
+ * they would hide those that are meant.
+ */
+export function takeOverProperties(element: HTMLElement): void {
+  for (const [name, value] of Object.entries(element) as [keyof HTMLElement, never][]) {
+    if (!(name in Object.getPrototypeOf(element)) || typeof value === "function") continue;
+    Reflect.deleteProperty(element, name);
+    try {
+      Reflect.set(element, name, value);
+    } catch (error) {
+      reportError(error); // the others count
+    }
+  }
+}
