@@ -1,6 +1,6 @@
 /** Attributes as properties, as HTML's own elements have them. */
 
-import type { PlayerApi } from "../player_api";
+import type { PlayerApi, Span } from "../player_api";
 
 const PRELOADS = ["none", "metadata", "auto"] as const;
 
@@ -58,6 +58,14 @@ export abstract class AttributeElement extends HTMLElement {
   set recorded(value: boolean) {
     this.toggleAttribute("recorded", value);
   }
+  /** Frames that are played again and again. */
+  get range(): Span | null {
+    return spanOf(this.getAttribute("range"));
+  }
+  set range(value: Span | null) {
+    if (value === null) this.removeAttribute("range");
+    else this.setAttribute("range", `${value[0]}:${value[1]}`);
+  }
   get quality(): number {
     const share = Number(this.getAttribute("quality") ?? 1);
     return share > 0 && share <= 1 ? share : 1;
@@ -73,7 +81,9 @@ export abstract class AttributeElement extends HTMLElement {
  * they would hide those that are meant.
  */
 export function takeOverProperties(element: HTMLElement): void {
-  for (const [name, value] of Object.entries(element) as [keyof HTMLElement, never][]) {
+  // The address last: others say how it is opened.
+  const values = Object.entries(element).sort(([one], [other]) => Number(one === "src") - Number(other === "src"));
+  for (const [name, value] of values as [keyof HTMLElement, never][]) {
     if (!(name in Object.getPrototypeOf(element)) || typeof value === "function") continue;
     Reflect.deleteProperty(element, name);
     try {
@@ -82,4 +92,12 @@ export function takeOverProperties(element: HTMLElement): void {
       reportError(error); // the others count
     }
   }
+}
+
+/** Frames A:B, as commands have them; null for what is none. */
+function spanOf(text: string | null): Span | null {
+  const found = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
+  if (found === null) return null;
+  const [from, to] = [Number(found[1]), Number(found[2])];
+  return from < to ? [from, to] : null;
 }

@@ -12,7 +12,7 @@ import { startRecorded } from "../draw/recorded";
 import type { Lens, PinholeCamera } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
 import { intoScene } from "../geometry/similarity";
-import { length, type Vector } from "../geometry/vectors";
+import type { Vector } from "../geometry/vectors";
 import type { FrameInfo } from "../messages";
 import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type PlayerApi, type Span, type View } from "../player_api";
 import type { StreamHeader } from "../scene";
@@ -26,10 +26,10 @@ import { PixelRatio } from "./pixel_ratio";
 import { Pictures, type ExactChoice, type PicturesHost } from "./pictures";
 import { Poster } from "./poster";
 import { Ranges } from "./ranges";
-import { RigCameras } from "./rig_cameras";
 import { Session } from "./session";
 import { Sight } from "./sight";
 import style from "./style.css";
+import { Viewpoint } from "./viewpoint";
 
 const LONGEST_STEP = 0.1;
 
@@ -91,10 +91,20 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     },
   );
   #pictures: Pictures | null = null;
-  #cameras: RigCameras | null = null;
-  /** What to look at when the next stream has come. */
-  #startView: View | null = null;
-  #startCamera = "";
+  readonly #viewpoint = new Viewpoint({
+    navigation: () => this.#pictures?.stage.navigation ?? null,
+    moved: () => {
+      this.#pictures?.stage.touch();
+      this.#tell("camerachange");
+      this.#wake();
+    },
+    put: () => {
+      this.#late.panels?.tellCamera();
+    },
+    asked: () => {
+      this.#poster.giveWay();
+    },
+  });
   #overlay: Overlay = "none";
   /** The address of the stream that is open or was open last. */
   #source = "";
@@ -132,7 +142,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     }
     this.addEventListener("blur", () => {
       this.#late.forgetKeys();
-      if (this.#pictures !== null) this.#pictures.stage.navigation.flight = [0, 0, 0];
+      if (this.#viewpoint.isFlying) this.#viewpoint.fly([0, 0, 0]);
     });
   }
 
@@ -171,11 +181,14 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     if (name === "exact" && this.#pictures?.chooseExact(this.#exactChoice) === true) this.#wake();
     if (name === "recorded") void this.#chooseRecorded();
     if (name === "background") this.#pictures?.layBehind(value, this.#poster.image);
-    if (name === "orbit") this.#sway();
+    if (name === "orbit") {
+      this.#viewpoint.sway(value !== null);
+      this.#wake();
+    }
     if (name === "muted") this.muted = value !== null;
-    if (name === "limits") this.#limit();
+    if (name === "limits") this.#viewpoint.limit(value === "rig");
     if (name === "quality") this.#chooseQuality();
-    if (name === "range") this.#session.playback.range = spanOf(value);
+    if (name === "range") this.#session.playback.range = this.range;
     if (name === "camera" && value !== null) this.camera = value;
     this.#late.panels?.refresh();
   }
@@ -184,14 +197,6 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
   get currentSrc(): string {
     return this.#source;
   }
-  get range(): Span | null {
-    return this.#session.playback.range;
-  }
-  set range(value: Span | null) {
-    if (value === null) this.removeAttribute("range");
-    else this.setAttribute("range", `${value[0]}:${value[1]}`);
-  }
-
   get volume(): number {
     return this.#session.sound.volume;
   }
@@ -317,17 +322,13 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     this.#wake();
   }
   get camera(): string {
-    return this.#cameras?.current?.name ?? "";
+    return this.#viewpoint.camera?.name ?? "";
   }
   set camera(name: string) {
-    if (this.#cameras === null) this.#startCamera = name;
-    const index = this.#cameras?.named(name) ?? -1;
-    if (index >= 0) this.lookThrough(index);
+    this.#viewpoint.lookAt(name);
   }
   get view(): View | null {
-    if (this.#pictures === null || this.header === null) return null;
-    const { pose, lens } = this.#pictures.stage.navigation;
-    return { pose, lens };
+    return this.#viewpoint.view;
   }
   get figures(): Figures | null {
     if (this.#pictures === null || this.info === null) return null;
@@ -391,27 +392,19 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
   }
 
   lookThrough(index: number, atOnce = false): void {
-    if (this.#cameras?.lookThrough(index, atOnce) === true) this.#cameraPut();
-    this.#poster.giveWay();
+    this.#viewpoint.lookThrough(index, atOnce);
   }
 
   nextCamera(step: 1 | -1): void {
-    if (this.#cameras !== null) this.lookThrough(this.#cameras.next(step));
+    this.#viewpoint.next(step);
   }
 
   backToCamera(): void {
-    if (this.#cameras?.back() === true) this.#cameraPut();
+    this.#viewpoint.back();
   }
 
   lookFrom(pose: Pose, lens: Lens): void {
-    if (this.#pictures === null) this.#startView = { pose, lens };
-    else {
-      const { stage } = this.#pictures;
-      stage.navigation.goTo(pose, lens, true);
-      stage.navigation.moved = true;
-      stage.touch();
-      this.#lookedAround();
-    }
+    this.#viewpoint.lookFrom(pose, lens);
   }
 
   async enterXr(mode: "immersive-vr" | "immersive-ar"): Promise<void> {
@@ -425,9 +418,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
   }
 
   fly(direction: Vector): void {
-    if (this.#pictures === null) return;
-    this.#pictures.stage.navigation.flight = direction;
-    this.#lookedAround();
+    this.#viewpoint.fly(direction);
   }
 
   recordedPlace(): Place | null {
@@ -479,7 +470,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
       this.#pictures?.judge();
     }
     this.#late.panels?.tick(now);
-    const changing = stage.pending || stage.renderer.busy || length(stage.navigation.flight) > 0 || stage.navigation.isSwaying;
+    const changing = stage.pending || stage.renderer.busy || this.#viewpoint.isMoving;
     if (playback.playing || (changing && !this.#sight.offScreen)) this.#wake();
   };
 
@@ -543,7 +534,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     this.#session.close();
     this.#poster.stand();
     this.#frameCallbacks.begin();
-    this.#cameras = null;
+    this.#viewpoint.close();
     this.#late.panels?.refresh();
   }
 
@@ -561,11 +552,11 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
         else this.#session.send({ type: "exact", camera });
       },
       lookedThrough: () => {
-        const camera = this.recorded ? (this.#cameras?.current ?? null) : null;
+        const camera = this.recorded ? this.#viewpoint.camera : null;
         return camera === null ? null : { camera, correction: this.info?.corrections.get(camera.name) ?? null };
       },
       cameraMoved: () => {
-        this.#lookedAround();
+        this.#viewpoint.moved();
       },
       changed: () => {
         this.#touch();
@@ -581,22 +572,14 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     return pictures;
   }
 
-  /** The camera that was asked for, or the first; a view that was asked for comes before both. */
   #opened(header: StreamHeader): void {
     this.#pictures!.layBehind(this.getAttribute("background"), this.#poster.image);
     if (this.getAttribute("aria-label") === this.#ownName) this.#name(header.presentation.title || UNNAMED);
-    const cameras = new RigCameras(header, this.#pictures!.stage.navigation);
-    this.#cameras = cameras;
     const left = this.#left;
-    const named = cameras.named(this.#startCamera || left?.camera || this.getAttribute("camera"));
-    cameras.lookThrough(named >= 0 ? named : cameras.first, true);
-    this.#cameraPut();
-    const view = this.#startView ?? (left?.camera === "" ? left.view : null);
-    if (view !== null) this.lookFrom(view.pose, view.lens);
-    this.#startView = this.#left = null;
-    this.#startCamera = "";
-    this.#limit();
-    this.#sway();
+    this.#left = null;
+    this.#viewpoint.open(header, this.#pictures!.stage.navigation, left?.camera || this.getAttribute("camera"), left?.camera === "" ? left.view : null);
+    this.#viewpoint.limit(this.getAttribute("limits") === "rig");
+    this.#viewpoint.sway(this.hasAttribute("orbit"));
     if (this.quality < 1) this.#chooseQuality();
   }
 
@@ -610,18 +593,6 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     this.#pictures.stage.quality = this.quality;
     this.#session.send({ type: "detail", share: (1 + this.quality) / 2 }); // Gaussians are missed sooner than pixels
     this.#touch();
-  }
-
-  #limit(): void {
-    if (this.#pictures !== null) this.#pictures.stage.navigation.limited = this.getAttribute("limits") === "rig";
-  }
-
-  #sway(): void {
-    if (this.#pictures === null) return;
-    const { navigation } = this.#pictures.stage;
-    navigation.sway(this.hasAttribute("orbit"));
-    if (navigation.isSwaying) this.#poster.giveWay();
-    this.#wake();
   }
 
   async #chooseRecorded(): Promise<void> {
@@ -638,23 +609,6 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     this.#pictures?.stage.touch();
     this.#late.panels?.refresh();
     this.#wake();
-  }
-
-  #cameraPut(): void {
-    this.#pictures!.stage.touch();
-    this.#cameraMoved();
-    this.#late.panels?.tellCamera();
-  }
-
-  #cameraMoved(): void {
-    this.#tell("camerachange");
-    this.#wake();
-  }
-
-  /** Somebody wants to see the scene from elsewhere. */
-  #lookedAround(): void {
-    this.#poster.giveWay();
-    this.#cameraMoved();
   }
 
   /** The size of the picture in device pixels. */
@@ -695,12 +649,4 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     this.#pausedUnseen ||= this.#unseen;
     return this.#pausedUnseen;
   }
-}
-
-/** Frames A:B, as commands have them; null for what is none. */
-function spanOf(text: string | null): Span | null {
-  const found = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
-  if (found === null) return null;
-  const [from, to] = [Number(found[1]), Number(found[2])];
-  return from < to ? [from, to] : null;
 }

@@ -195,7 +195,6 @@ export class Session {
     if (!playback.playing) {
       if (this.#standIn >= 0 || playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
       playback.playing = true;
-      playback.ended = false;
       this.sound.begin();
       this.host.tell("play");
       this.host.wake();

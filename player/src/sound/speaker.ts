@@ -93,7 +93,7 @@ export class Speaker {
   /** Seconds that have passed since this was asked last; null while nothing sounds. */
   elapsed(): number | null {
     const at = this.anchor?.at ?? null;
-    if (at === null || !this.runs) return (this.lastTime = null);
+    if (at === null || !this.runs) return null;
     const since = this.lastTime ?? at;
     this.lastTime = Math.max(since, this.context.currentTime);
     return this.lastTime - since;

@@ -97,6 +97,13 @@ test("properties that were set before the element was defined are taken over, wh
   assert.equal(element.hasAttribute("loop"), false);
 });
 
+test("the address comes last, since others say how it is opened", () => {
+  const element = early({ src: "a.dgs", preload: "none", crossOrigin: "", range: [3, 9] });
+  takeOverProperties(element);
+  assert.deepEqual(Object.keys(keptBy(element)), ["preload", "crossorigin", "range", "src"]);
+  assert.deepEqual(element.range, [3, 9]);
+});
+
 test("what can only be read, methods of the page's own and other properties do no harm; what is refused is told, and the rest counts", () => {
   const play = (): string => "the page's";
   const element = early({ paused: false, mine: 1, quality: 7, play, src: "a.dgs" });
@@ -120,6 +127,12 @@ test("attributes of few values are one of them", () => {
     element.setAttribute("crossorigin", value);
     assert.equal(element.crossOrigin, found);
   }
+  for (const [value, found] of [["12:48", [12, 48]], [" 3 : 4 ", [3, 4]], ["4:4", null], ["9:3", null], ["a", null], ["1:", null]] as const) {
+    element.setAttribute("range", value);
+    assert.deepEqual(element.range, found);
+  }
+  element.range = null;
+  assert.equal(element.hasAttribute("range"), false);
   element.crossOrigin = null;
   assert.equal(element.hasAttribute("crossorigin"), false);
 });

@@ -170,6 +170,13 @@ test("sound is kept in step while pictures play, and rests in a pause, a seek an
   of.session.advance(0.02);
   of.session.advance(0.5);
   assert.deepEqual(calls, ["rest", "begin", "0.0 of 3", "1.0 of 3", "rest", "2.0 of 3", "rest"]);
+  calls.length = 0;
+  void of.session.play();
+  of.session.pause();
+  assert.deepEqual(calls, ["begin", "rest"], "silence does not wait for the next picture");
+  of.session.sound.close = () => calls.push("close");
+  of.session.close();
+  assert.equal(calls.at(-1), "close");
 });
 
 test("a stream that ends pauses, tells it, and is played from its beginning again", () => {
@@ -177,7 +184,9 @@ test("a stream that ends pauses, tells it, and is played from its beginning agai
   void of.session.play();
   of.run(6);
   assert.deepEqual([of.session.playback.ended, of.session.playback.due], [true, 2]);
+  of.run(3);
   assert.deepEqual(of.events.slice(-2), ["pause", "ended"]);
+  assert.equal(of.events.filter((name) => name === "ended").length, 1);
   void of.session.play();
   assert.deepEqual([of.session.position, of.asked().at(-1), of.session.playback.ended], [0, 0, false]);
 });
@@ -234,6 +243,9 @@ test("a worker that dies answers nobody: all that it was asked for is refused, a
   assert.ok(of.worker.terminated);
   assert.equal(session.error, "out of memory");
   assert.equal(of.events.at(-1), "error");
+  const { length } = of.worker.sent;
+  session.seek(5);
+  assert.equal(of.worker.sent.length, length);
 });
 
 test("after its death, playing begins with another worker, where the picture was", async () => {
@@ -315,7 +327,7 @@ test("time stands still until what was sought is there, so that nothing of it is
 test("seeks stay within the stream, and what is no number goes nowhere", () => {
   const of = ready();
   of.session.seek(-5);
-  assert.equal(of.asked().at(-1), 0);
+  assert.deepEqual([of.asked().at(-1), of.session.position], [0, 0]);
   of.session.seek(1000);
   assert.deepEqual([of.asked().at(-1), of.session.position], [89, 90]);
   const before = of.events.length;
@@ -326,7 +338,7 @@ test("seeks stay within the stream, and what is no number goes nowhere", () => {
 test("a frame that is not known yet is waited for, and gone to when it comes", () => {
   const of = ready({ frames: 10, complete: false });
   of.session.seek(20);
-  assert.equal(of.session.position, 20);
+  assert.deepEqual([of.session.position, of.session.playback.position], [20, 9]);
   assert.equal(of.asked().at(-1), 9);
   of.show(9);
   assert.ok(!of.events.includes("seeked"));
@@ -394,6 +406,12 @@ test("a frame in time is never late, and nobody waits in a pause", () => {
   of.show(1);
   mock.timers.tick(500);
   assert.ok(!of.session.waiting);
+  of.session.seek(20);
+  mock.timers.tick(150);
+  of.session.seek(40);
+  mock.timers.tick(150);
+  assert.ok(!of.session.waiting, "it was asked for 150 ms ago");
+  of.show(40);
   of.session.pause();
   of.session.seek(50);
   mock.timers.tick(500);
@@ -409,6 +427,10 @@ test("the frame that stands for the stream is shown until somebody plays, who be
   assert.equal(of.session.position, 0);
   void of.session.play();
   assert.equal(of.asked().at(-1), 0);
+  const sought = new Opened({ of: { presentation: { title: "", poster: 7, firstView: null, transform: null } } }).begin();
+  sought.session.seek(3);
+  sought.session.advance(0);
+  assert.deepEqual(sought.asked(), [3]);
   const past = new Opened({ frames: 5, of: { presentation: { title: "", poster: 7, firstView: null, transform: null } } }).begin();
   past.session.advance(0);
   assert.deepEqual(past.asked(), [4]);
@@ -427,6 +449,8 @@ test("a place that was set before the header came is where the stream begins", (
   assert.equal(of.session.position, 60);
   of.begin();
   assert.deepEqual(of.asked(), [60]);
+  of.open();
+  assert.equal(of.worker.asked("open")[0].first, 0, "it was for one stream");
   const frame = new Opened();
   frame.session.close();
   frame.session.start = { frame: 12 };
@@ -479,6 +503,25 @@ test("an error pauses, is told, and is tried again by whoever plays", async () =
   assert.equal(await outcome(played), "resolved");
 });
 
+test("after an error, a frame that comes is no error any more", () => {
+  const of = ready();
+  of.worker.say({ type: "failed", request: 9, message: "frame 9 is damaged" });
+  of.session.seek(3);
+  of.show(3);
+  assert.equal(of.session.error, null);
+  assert.equal(of.warnings.at(-1), null);
+});
+
+test("what frames cost, packing and sorting too, says how many may be passed over; what is sent again costs nothing", () => {
+  const of = ready();
+  void of.session.play();
+  of.run(2);
+  for (let frame = 1; frame < 12; frame++) of.show(frame, 100, { decodeMs: 10, packMs: 40 });
+  for (let again = 0; again < 30; again++) of.show(11, -1, { decodeMs: 0, packMs: 0 });
+  of.session.advance(2);
+  assert.equal(of.session.playback.due, 12);
+});
+
 test("a stream that could not be opened is opened anew by whoever plays", () => {
   const of = new Opened();
   of.worker.say({ type: "failed", request: null, message: "HTTP 404" });
@@ -512,21 +555,48 @@ test("what is known of frames is kept, and buffers go back to the worker", () =>
   of.progress({ bytesRead: 77, psnr: [[3, 31.5]], buffered: [[0, 9]], frames: frameTable(91, 90) });
   assert.deepEqual([of.session.bytesRead, of.session.frames.psnr.get(3), of.session.frames.count], [77, 31.5, 91]);
   assert.equal(of.session.playback.frameCount, 91);
+  of.progress();
   assert.equal(of.events.filter((name) => name === "durationchange").length, 2);
   assert.deepEqual(of.worker.asked("recycle")[0].buffers.map(({ byteLength }) => byteLength), [16]);
 });
 
+test("time is counted in the stream's own frames a second, or 30 where it does not say", () => {
+  assert.equal(new Opened({ of: { fps: 25 } }).begin().session.playback.fps, 25);
+  assert.equal(new Opened({ of: { fps: null } }).begin().session.playback.fps, 30);
+});
+
+test("people see how much has come of what is waited for, and only then", () => {
+  const of = new Opened().begin();
+  of.progress({ share: 0.4 });
+  assert.deepEqual(of.busy.at(-1), [true, 0.4]);
+  of.show(0);
+  assert.deepEqual(of.busy.at(-1), [false, null]);
+  of.progress({ share: null });
+  assert.deepEqual(of.busy.at(-1), [false, null]);
+  of.session.seek(40);
+  mock.timers.tick(200);
+  of.progress({ share: 0.7 });
+  assert.deepEqual(of.busy.at(-1), [true, 0.7]);
+  assert.deepEqual(of.loading, [true, false]);
+});
+
 test("a closed stream leaves nothing behind, and tells it once", () => {
-  const of = ready();
+  const of = ready({ frames: 12 });
   void of.session.play();
   of.run(20);
+  assert.ok(of.session.playback.ended);
   of.session.close();
   const { header: none, info: nothing, position, frames, playback } = of.session;
   assert.deepEqual([none, nothing, position, frames.count, playback.playing, playback.ended], [null, null, 0, 0, false, false]);
   assert.equal(of.events.at(-1), "emptied");
   const before = of.events.length;
+  of.session.seek(4);
   of.session.close();
   assert.equal(of.events.length, before);
+  const late = ready();
+  late.session.seek(4);
+  late.session.close();
+  late.busy.length = 0;
   mock.timers.tick(1000);
-  assert.ok(!of.session.waiting);
+  assert.deepEqual(late.busy, [], "nobody waits for it");
 });

@@ -149,6 +149,19 @@ test("pictures that did not wait are joined where they are", async () => {
   assert.ok(Math.abs(of.speaker.elapsed()! - 0.02) < 1e-9);
 });
 
+test("a piece that comes late is heard from where it is by then, at any speed, and begins with the frame that is shown", async () => {
+  for (const rate of [0.5, 1, 2]) {
+    const of = new Heard();
+    of.speaker.keep(10.5, 100, rate, null);
+    assert.equal(of.asked[0][1] - 13, 10);
+    of.context.currentTime = 0.2;
+    of.speaker.keep(10.5 + 0.2 * FPS * rate, 100, rate, null);
+    of.context.currentTime = 0.25;
+    await of.give();
+    for (const time of [0.26, 0.31, 0.4]) assert.equal(of.context.heard(time), Math.floor(10.5 + time * FPS * rate), `${rate} ${time}`);
+  }
+});
+
 test("pieces of a place that was left are not heard, whether they come late or are decoded late", async () => {
   const of = new Heard();
   of.speaker.keep(0, 250, 1, null);
@@ -173,6 +186,36 @@ test("pieces of a place that was left are not heard, whether they come late or a
   await of.speaker.take(newest, framesOf(190, 215));
   await of.speaker.take(newest, framesOf(190, 215));
   assert.equal(of.context.sources.length, 1);
+});
+
+test("the first piece decides when sound begins, though the next one is decoded sooner; one that fails stops no other", async () => {
+  const of = new Heard();
+  of.speaker.keep(0, 250, 1, null);
+  let decode = (): void => undefined;
+  Decoders.held = new Promise((done) => (decode = done));
+  const [first, second, third] = of.asked;
+  const taken = of.speaker.take(first[2], framesOf(first[0], first[1]));
+  await settled();
+  Decoders.held = null;
+  const next = of.speaker.take(second[2], framesOf(second[0], second[1]));
+  await settled();
+  assert.equal(of.context.sources.length, 0);
+  of.context.currentTime = 0.4;
+  decode();
+  await taken;
+  await next;
+  assert.deepEqual(of.context.sources.map(({ offset }) => offset), [0, 0]);
+  assert.ok(of.context.sources[0].when >= 0.4);
+  const failing = mock.method(of.context, "createBuffer", () => {
+    throw new RangeError("no memory");
+  });
+  await assert.rejects(of.speaker.take(third[2], framesOf(third[0], third[1])), /no memory/);
+  failing.mock.restore();
+  of.context.currentTime = 1;
+  of.speaker.keep(0.5 * FPS, 250, 1, null);
+  const [from, to, request] = of.asked.at(-1)!;
+  await of.speaker.take(request, framesOf(from, to));
+  assert.equal(of.context.sources.length, 3);
 });
 
 test("a second and a half is asked for ahead, each piece with what its decoder needs before it", async () => {
@@ -308,8 +351,11 @@ function late(changed: Partial<StreamHeader> = {}) {
   mock.method(performance, "now", () => clock.now);
   const sound = new LateSound((message) => sent.push(message), (text) => said.push(text));
   const camera = { worldToCamera: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]] };
-  sound.open({ sound: [PLAIN], fps: FPS, cameras: [camera], ...changed } as unknown as StreamHeader);
-  return { sound, said, sent, clock };
+  const open = (): void => {
+    sound.open({ sound: [PLAIN], fps: FPS, cameras: [camera], ...changed } as unknown as StreamHeader);
+  };
+  open();
+  return { sound, said, sent, clock, open };
 }
 const place = { position: 0, frameCount: 100, rate: 1, complete: true, repeated: null };
 
@@ -335,7 +381,11 @@ test("pictures wait for sound that is about to begin, half a second at most, and
   sound.keep(place);
   clock.now = 499;
   assert.equal(sound.elapsed(), 0);
-  clock.now = 501;
+  sound.rest();
+  sound.keep(place);
+  clock.now = 900;
+  assert.equal(sound.elapsed(), 0, "that is another beginning");
+  clock.now = 1401;
   assert.equal(sound.elapsed(), null);
   sound.rest();
   sound.keep(place);
@@ -360,6 +410,9 @@ test("who plays before the script has come is heard", async () => {
   assert.equal(context.resumed, 1);
   assert.equal(context.gain.gain.value, 0.5);
   assert.ok(sound.audible);
+  sound.volume = 0.25;
+  assert.equal(context.gain.gain.value, 0.25);
+  sound.volume = 0.5;
   sound.muted = true;
   assert.equal(context.gain.gain.value, 0);
   assert.ok(!sound.audible);
@@ -373,6 +426,15 @@ test("a stream that is closed before the script has come makes no sound", async 
   await settled();
   assert.deepEqual(FakeContext.made, []);
   assert.equal(sound.elapsed(), null);
+});
+
+test("who has played one stream has not played the next", async () => {
+  const { sound, open } = late();
+  sound.begin();
+  sound.close();
+  open();
+  await settled();
+  assert.equal(FakeContext.made.at(-1)!.resumed, 0);
 });
 
 test("of a stream that grows, the last frame's sound is not asked for", async () => {
