@@ -18,7 +18,7 @@ export interface Opening {
   readonly follow: boolean;
   /** The frame to show at once, as request 0, without being asked for it; null: none. */
   readonly first: number | null;
-  /** Nothing is read ahead until another frame is asked for. */
+  /** Nothing is read ahead until a frame is asked for as request 1 or later. */
   readonly sparing?: boolean;
   /** Another server gets its cookies. */
   readonly credentials?: "include";

@@ -84,7 +84,7 @@ export function takeOverProperties(element: HTMLElement): void {
   // The address last: others say how it is opened.
   const values = Object.entries(element).sort(([one], [other]) => Number(one === "src") - Number(other === "src"));
   for (const [name, value] of values as [keyof HTMLElement, never][]) {
-    if (!(name in Object.getPrototypeOf(element)) || typeof value === "function") continue;
+    if (!(name in Object.getPrototypeOf(element))) continue; // the page's own
     Reflect.deleteProperty(element, name);
     try {
       Reflect.set(element, name, value);

@@ -181,8 +181,9 @@ export class Session {
     if (this.#running && wasRunning) playback.advance(this.sound.elapsed() ?? seconds, this.info!.frame);
     if (this.#running && playback.playing) this.sound.keep(playback);
     else this.sound.rest();
-    const shown = this.#standsIn ?? playback.due;
-    if (playback.frameCount > 0 && shown !== this.#requested) this.#request(shown);
+    const standsIn = this.#standsIn;
+    const shown = standsIn ?? playback.due;
+    if (playback.frameCount > 0 && shown !== this.#requested) this.#request(shown, standsIn === null);
     if (!wasPlaying || !playback.ended) return;
     this.host.tell("pause");
     this.host.tell("ended");
@@ -447,13 +448,15 @@ export class Session {
     this.host.busy(on, null);
   }
 
-  #request(frame: number): void {
+  /** `asked`: somebody plays or seeks; otherwise the worker need not read on. */
+  #request(frame: number, asked = true): void {
     this.#requested = frame;
     clearTimeout(this.#lateTimer);
     this.#lateTimer = window.setTimeout(() => {
       this.#late();
     }, LATE_MS);
-    this.send({ type: "show", frame, request: ++this.#requests });
+    if (asked) this.#requests++;
+    this.send({ type: "show", frame, request: this.#requests });
   }
 
   #followSoon(): void {

@@ -138,6 +138,7 @@ export class ScenePlayer extends EventTarget {
 
   /** Resolves once playing has begun; rejects with what is wrong. After an error it tries again. */
   play(): Promise<void> {
+    if (this.paused) this.#lastTime = performance.now(); // what has passed since the last picture does not count
     return this.#session.play();
   }
 

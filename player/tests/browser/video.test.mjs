@@ -260,7 +260,7 @@ test("on a phone the bar is a row at the bottom, which goes while the stream pla
     assert.ok((height - told.bar) / height < most, `${width}: ${height - told.bar} of ${height}`);
     assert.ok(told.track > 70, `${told.track}`);
     assert.equal(told.cameras, width <= 520);
-    await page.evaluate(() => document.querySelector("decogs-player").play());
+    await page.locator(".play").tap();
     await until(page, "getComputedStyle(player.shadowRoot.querySelector('.bar')).opacity === '0'");
     assert.deepEqual(page.complaints, []);
     await page.context().close();

@@ -152,6 +152,7 @@ test("a poster stays until somebody wants to see the stream and there is somethi
   assert.ok(!poster((of) => { of.giveWay(); of.drawn(); }));
   assert.ok(!poster((of) => { of.drawn(); of.giveWay(); }));
   assert.ok(poster((of) => { of.drawn(); of.giveWay(); of.stand(); of.drawn(); }), "another stream");
+  assert.ok(poster((of) => { of.drawn(); of.stand(); of.giveWay(); }), "that one is not drawn yet");
 });
 
 test("a poster that comes late is shown while it is one, an empty or a missing one never", () => {

@@ -423,9 +423,10 @@ test("the frame that stands for the stream is shown until somebody plays, who be
   const of = new Opened({ of: { presentation: { title: "", poster: 7, firstView: null, transform: null } } }).begin();
   of.session.advance(0);
   of.show(7);
-  assert.deepEqual(of.asked(), [7]);
+  assert.deepEqual(of.worker.asked("show").map(({ frame, request }) => [frame, request]), [[7, 0]], "nobody has asked for it");
   assert.equal(of.session.position, 0);
   void of.session.play();
+  assert.equal(of.worker.asked("show").at(-1)?.request, 1);
   assert.equal(of.asked().at(-1), 0);
   const sought = new Opened({ of: { presentation: { title: "", poster: 7, firstView: null, transform: null } } }).begin();
   sought.session.seek(3);
