@@ -20,18 +20,21 @@ class Opened {
   readonly loading: boolean[] = [];
   readonly busy: (readonly [boolean, number | null])[] = [];
   reopened = 0;
+  wakes = 0;
   exactlyDrawn: unknown[] = [];
+  /** What was drawn, in order. */
+  readonly drawn: string[] = [];
   readonly session: Session;
   private readonly drawing: Drawing = {
-    begin: () => undefined,
+    begin: () => this.drawn.push("stream"),
     exactlyDrawn: (picture) => this.exactlyDrawn.push(picture),
-    stage: { begin: () => undefined, load: () => undefined, order: () => undefined },
+    stage: { begin: () => this.drawn.push("begin"), load: () => this.drawn.push("load"), order: () => this.drawn.push("order") },
   };
 
   constructor(private readonly options: Options = {}) {
     this.session = new Session({
       tell: (name) => this.events.push(name),
-      wake: () => undefined,
+      wake: () => this.wakes++,
       loading: (on) => this.loading.push(on),
       busy: (on, share) => this.busy.push([on, share]),
       reopen: () => {
@@ -39,7 +42,7 @@ class Opened {
         this.open();
       },
       warn: (text) => this.warnings.push(text),
-      opened: () => undefined,
+      opened: () => this.drawn.push("opened"),
       autoplay: () => options.autoplay === true,
     });
     this.open();
@@ -382,6 +385,63 @@ test("a frame that does not come for 200 ms is told, and playing goes on with a 
   assert.equal(of.session.playback.due, 1);
 });
 
+test("at twice the speed, two seconds in store are a second; a pause waits for nothing", () => {
+  const of = ready();
+  of.session.playback.rate = 2;
+  void of.session.play();
+  of.session.advance(1 / 60);
+  of.session.advance(1 / 60);
+  mock.timers.tick(200);
+  assert.ok(of.session.waiting);
+  of.show(1);
+  of.progress({ buffered: [[0, 60]] });
+  of.session.advance(0.02);
+  assert.ok(of.session.waiting);
+  of.progress({ buffered: [[0, 61]] });
+  of.session.advance(0.02);
+  assert.ok(!of.session.waiting);
+  assert.deepEqual(of.busy.at(-1), [false, null]);
+  of.run(3);
+  of.session.advance(1 / 30);
+  mock.timers.tick(200);
+  assert.ok(of.session.waiting);
+  of.session.pause();
+  assert.ok(!of.session.waiting);
+});
+
+test("what is to be drawn reaches the pictures in the order in which it comes, and something is to be done then", () => {
+  const of = ready();
+  assert.deepEqual(of.drawn, ["stream", "opened", "begin", "load"]);
+  const draw = { order: new Uint32Array(8), count: 7, sortMs: 3, serial: 2 };
+  let { wakes } = of;
+  of.worker.say({ type: "order", draw });
+  assert.equal(of.drawn.at(-1), "order");
+  assert.deepEqual(of.session.drawn, { count: 7, sortMs: 3 });
+  assert.equal(of.worker.asked("recycle").at(-1)?.buffers[0].byteLength, 32);
+  assert.equal(of.wakes, wakes + 1);
+  ({ wakes } = of);
+  of.session.seek(3);
+  assert.ok(of.wakes > wakes);
+  ({ wakes } = of);
+  void of.session.play();
+  assert.ok(of.wakes > wakes);
+  of.worker.say({ type: "exact", picture: null, problem: "there is no kernel" });
+  assert.deepEqual([of.exactlyDrawn, of.warnings.at(-1)], [[null], "there is no kernel"]);
+  ({ wakes } = of);
+  of.worker.die();
+  assert.ok(of.wakes > wakes);
+});
+
+test("the stream's sound is opened with it, and what the worker gives of it is played", () => {
+  const of = new Opened();
+  const calls: unknown[] = [];
+  of.session.sound.open = ({ fps }) => calls.push(fps);
+  of.session.sound.receive = ({ request }) => calls.push(request);
+  of.begin();
+  of.worker.say({ type: "sound", request: 9, frames: [] });
+  assert.deepEqual(calls, [30, 9]);
+});
+
 test("near the end, all that is left is enough", () => {
   const of = ready({ frames: 20 });
   void of.session.play();
@@ -586,7 +646,9 @@ test("a closed stream leaves nothing behind, and tells it once", () => {
   void of.session.play();
   of.run(20);
   assert.ok(of.session.playback.ended);
+  of.progress({ notices: ["an odd end"] });
   of.session.close();
+  assert.equal(of.warnings.at(-1), null);
   const { header: none, info: nothing, position, frames, playback } = of.session;
   assert.deepEqual([none, nothing, position, frames.count, playback.playing, playback.ended], [null, null, 0, 0, false, false]);
   assert.equal(of.events.at(-1), "emptied");

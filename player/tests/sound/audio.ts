@@ -6,6 +6,8 @@ export interface Source {
   readonly offset: number;
   readonly rate: number;
   readonly samples: Float32Array;
+  /** What it goes through. */
+  readonly node: unknown;
   stopped: number;
 }
 
@@ -44,9 +46,13 @@ export class FakeContext {
       buffer: null as { readonly samples: Float32Array[] } | null,
       onended: null,
       started: null as Source | null,
-      connect: () => undefined,
+      node: null as unknown,
+      connect: (node: unknown) => {
+        source.node = node;
+      },
       start: (when: number, offset: number) => {
-        source.started = { when, offset, rate: playbackRate.value, samples: source.buffer!.samples[0], stopped: Infinity };
+        // What should have begun begins now.
+        source.started = { when: Math.max(when, this.currentTime), offset, node: source.node, rate: playbackRate.value, samples: source.buffer!.samples[0], stopped: Infinity };
         this.sources.push(source.started);
       },
       stop: () => {

@@ -226,6 +226,9 @@ test("a second and a half is asked for ahead, each piece with what its decoder n
   await of.give();
   of.speaker.keep(101, 250, 1, null);
   assert.equal(of.asked.length, 3);
+  const quick = new Heard();
+  quick.speaker.keep(0, 250, 2, null);
+  assert.equal(quick.asked.at(-1)![1], 78, "three seconds of the stream at twice the speed");
   const start = new Heard();
   start.speaker.keep(0, 20, 1, null);
   assert.deepEqual(start.asked.map(([from, to]) => [from, to]), [[0, 13], [7, 20]]);
@@ -255,6 +258,10 @@ test("a loop that is given up, or another one, is not heard on", async () => {
   const { position: then } = await early.play(10, 0);
   await early.play(10, then, { repeated: [0, 200] });
   assert.ok(early.context.sources.every(({ stopped }) => stopped === Infinity), "nothing of it was asked for yet");
+  const other = new Heard();
+  const { position: middle } = await other.play(10, 0);
+  await other.play(300, middle, { repeated: [0, 50] });
+  assert.ok(other.context.sources.every(({ stopped }) => stopped === Infinity), "it was taken up before its end");
 });
 
 test("at another speed sound begins anew, and at one that nobody understands it is silent", async () => {
@@ -337,10 +344,33 @@ test("a track with a place is as loud as it was recorded from where it is to be,
   speaker.hearFrom([0, 0, 0]);
   assert.equal(FakePanner.made.length, 1);
   assert.equal(FakePanner.made[0].refDistance, 5);
+  speaker.hearFrom([3, 4, 0]);
+  assert.equal(FakePanner.made[0].refDistance, 1e-6, "browsers take no distance of nothing");
   assert.equal(FakePanner.made[0].options.positionX, 3);
   speaker.listen({ centre: [1, 2, 3], axes: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] });
   const value = (name: string): number => context.listener[name].value;
   assert.deepEqual(["positionX", "positionY", "positionZ", "forwardZ", "upY"].map(value), [1, 2, 3, 1, -1]);
+});
+
+test("each track goes through its own place, with its own samples", async () => {
+  const of = new Heard([PLAIN, { channels: 1, position: [1, 0, 0] }, { channels: 1, position: [0, 2, 0] }]);
+  of.speaker.hearFrom([0, 0, 0]);
+  assert.deepEqual(FakePanner.made.map(({ refDistance }) => refDistance), [1, 2]);
+  of.speaker.keep(0, 100, 1, null);
+  const [from, to, request] = of.asked[0];
+  await of.speaker.take(request, framesOf(from, to).map(({ frame, packets }) => ({ frame, packets: [{ ...packets[0], track: 2 }] })));
+  assert.deepEqual(of.context.sources.map(({ node }) => node), [FakePanner.made[1]]);
+});
+
+test("without leave to sound, pictures do not wait", async () => {
+  const { sound } = late();
+  await settled();
+  FakeContext.made[0].state = "suspended";
+  const { userActivation } = navigator as unknown as { userActivation: { hasBeenActive: boolean } };
+  assert.equal(sound.elapsed(), 0);
+  userActivation.hasBeenActive = false;
+  assert.equal(sound.elapsed(), null);
+  userActivation.hasBeenActive = true;
 });
 
 /** Sound of a stream, with the clock of the page in hand. */
