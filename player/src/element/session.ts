@@ -368,7 +368,7 @@ export class Session {
     if (this.#beginnings.awaited) {
       this.#beginnings.answerAll(undefined);
       this.host.tell("playing");
-    } else if (first && this.playback.playing) this.host.tell("playing");
+    }
     this.host.tell("timeupdate");
     if (this.#seekLater < 0 && this.#seekRequest >= 0 && message.request >= this.#seekRequest) {
       this.#seekRequest = -1;

@@ -106,6 +106,12 @@ test("at its end a stream stops, on its last frame", () => {
   assert.deepEqual([of.playing, of.ended, of.due, of.position], [false, true, 59, 60]);
 });
 
+test("a stream ends with its last frame's time, to the moment", () => {
+  const of = playback({ position: 59 });
+  of.advance(1 / 30, 59);
+  assert.deepEqual([of.position, of.ended], [60, true]);
+});
+
 test("before its end is known, the last frame stays, and playing goes on", () => {
   const of = playback({ position: 59.5, complete: false, loop: true });
   of.advance(0.5, 59);

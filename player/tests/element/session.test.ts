@@ -374,7 +374,9 @@ test("a frame that does not come for 200 ms is told, and playing goes on with a 
   assert.deepEqual(of.busy.at(-1), [true, null]);
   of.session.advance(0.5);
   assert.equal(of.session.playback.due, 1);
+  assert.ok(!of.session.seeking);
   of.show(1);
+  assert.deepEqual(of.busy.at(-1), [true, null], "one frame is not enough");
   of.progress({ buffered: [[0, 30]] });
   of.session.advance(0.5);
   assert.ok(of.session.waiting, "frames 1 to 30 are a second");
@@ -440,6 +442,18 @@ test("the stream's sound is opened with it, and what the worker gives of it is p
   of.begin();
   of.worker.say({ type: "sound", request: 9, frames: [] });
   assert.deepEqual(calls, [30, 9]);
+});
+
+test("a frame has come in time with another answer, or another frame with its own", () => {
+  for (const [frame, request] of [[5, -1], [4, 1]] as const) {
+    const of = ready();
+    of.session.seek(5);
+    mock.timers.tick(100);
+    of.show(frame, request);
+    of.busy.length = 0;
+    mock.timers.tick(500);
+    assert.deepEqual(of.busy, [], `${frame}`);
+  }
 });
 
 test("near the end, all that is left is enough", () => {
@@ -538,6 +552,7 @@ test("a file that grows is looked at every second, until it is whole", () => {
   mock.timers.tick(5000);
   assert.equal(of.worker.asked("refresh").length, 1, "the answer is waited for");
   of.worker.say({ type: "refreshed", grown: false });
+  of.worker.say({ type: "refreshed", grown: false });
   mock.timers.tick(1000);
   assert.equal(of.worker.asked("refresh").length, 2);
   of.progress({ complete: true });
@@ -594,12 +609,15 @@ test("a stream that could not be opened is opened anew by whoever plays", () => 
 test("a whole stream without a frame is an error", () => {
   const of = new Opened({ frames: 0, complete: false }).begin();
   of.progress({ complete: true, notices: ["it is cut off"] });
+  of.progress({ complete: true, notices: ["it is cut off"] });
   assert.equal(of.session.error, "it is cut off");
+  assert.equal(of.events.filter((name) => name === "error").length, 1);
+  assert.equal(of.loading.at(-1), false);
 });
 
 test("the worst of what is wrong is said: the error, the network, the frame, the stream", () => {
   const of = ready();
-  of.progress({ notices: ["an odd end"] });
+  of.progress({ notices: ["a lost index", "an odd end"] });
   assert.equal(of.warnings.at(-1), "an odd end");
   of.show(0, 0, { damage: "a broken frame" });
   assert.equal(of.warnings.at(-1), "a broken frame");

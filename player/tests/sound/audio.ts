@@ -9,6 +9,7 @@ export interface Source {
   /** What it goes through. */
   readonly node: unknown;
   stopped: number;
+  readonly end: () => void;
 }
 
 export class FakeContext {
@@ -44,7 +45,7 @@ export class FakeContext {
     const source = {
       playbackRate,
       buffer: null as { readonly samples: Float32Array[] } | null,
-      onended: null,
+      onended: null as (() => void) | null,
       started: null as Source | null,
       node: null as unknown,
       connect: (node: unknown) => {
@@ -52,7 +53,7 @@ export class FakeContext {
       },
       start: (when: number, offset: number) => {
         // What should have begun begins now.
-        source.started = { when: Math.max(when, this.currentTime), offset, node: source.node, rate: playbackRate.value, samples: source.buffer!.samples[0], stopped: Infinity };
+        source.started = { when: Math.max(when, this.currentTime), offset, node: source.node, rate: playbackRate.value, samples: source.buffer!.samples[0], stopped: Infinity, end: () => source.onended?.() };
         this.sources.push(source.started);
       },
       stop: () => {

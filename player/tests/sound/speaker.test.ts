@@ -290,6 +290,16 @@ test("rest is silence", async () => {
   assert.equal(of.speaker.elapsed(), null);
 });
 
+test("a piece that has ended is not stopped once more", async () => {
+  const of = new Heard();
+  await of.play(10, 0);
+  const [first, second] = of.context.sources;
+  first.end();
+  of.speaker.rest();
+  assert.equal(first.stopped, Infinity);
+  assert.ok(second.stopped < Infinity);
+});
+
 test("all tracks of a piece begin together", async () => {
   const of = new Heard([PLAIN, { channels: 2, position: null }, PLAIN]);
   of.speaker.keep(5, 100, 1, null);
@@ -325,8 +335,10 @@ test("a context that may not sound yet is silent; whether it is about to is said
   of.speaker.begin();
   await settled();
   assert.ok(!of.speaker.starting);
+  of.context.onResume = () => new Promise(() => undefined);
   document.dispatchEvent(new Event("pointerdown"));
   assert.equal(of.context.resumed, 2);
+  assert.ok(of.speaker.starting, "it was touched again");
 });
 
 test("a closed speaker gives everything back", async () => {
@@ -458,13 +470,19 @@ test("a stream that is closed before the script has come makes no sound", async 
   assert.equal(sound.elapsed(), null);
 });
 
-test("who has played one stream has not played the next", async () => {
-  const { sound, open } = late();
+test("who has played one stream, or has waited for it, has not played the next", async () => {
+  const { sound, open, clock } = late();
   sound.begin();
-  sound.close();
-  open();
+  assert.equal(sound.elapsed(), 0);
   await settled();
-  assert.equal(FakeContext.made.at(-1)!.resumed, 0);
+  sound.close();
+  assert.equal(FakeContext.made[0].state, "closed");
+  open();
+  clock.now = 600;
+  assert.equal(sound.elapsed(), 0);
+  await settled();
+  assert.equal(FakeContext.made.length, 2);
+  assert.equal(FakeContext.made[1].resumed, 0);
 });
 
 test("of a stream that grows, the last frame's sound is not asked for", async () => {
