@@ -68,6 +68,7 @@ test("what decoding costs is the mean of some frames, for each step: one slow fr
   assert.equal(slow.due, 1);
   const seek = playback();
   seek.note(300, 30);
+  seek.note(300, 30);
   seek.advance(1, 0);
   assert.equal(seek.due, 15);
 });

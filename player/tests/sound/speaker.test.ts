@@ -490,6 +490,9 @@ test("of a stream that grows, the last frame's sound is not asked for", async ()
   await settled();
   sound.keep({ ...place, frameCount: 10, complete: false });
   assert.equal((sent.at(-1) as { to: number }).to, 9);
+  sound.rest();
+  sound.keep({ ...place, frameCount: 10 });
+  assert.equal((sent.at(-1) as { to: number }).to, 10);
 });
 
 test("a stream without sound, and a browser that plays none", () => {
