@@ -10,6 +10,7 @@ from pathlib import Path
 
 from decogs.formats.command_line import Parser, number, number_of_threads, run, warn_as, whole_number
 from decogs.formats.frame_ranges import frame_range
+from decogs.formats.unicode_forms import composed
 
 
 def bench_main(arguments: Sequence[str] | None = None) -> int:
@@ -76,6 +77,7 @@ def _add_options_of_variants(parser: argparse.ArgumentParser, seeds: int) -> Non
     parser.add_argument(
         "--holdout",
         action="append",
+        type=composed,
         metavar="CAM",
         help="camera to measure on (repeatable: means over all; default: the rig's own, or cam00)",
     )

@@ -11,8 +11,7 @@ from typing import TextIO
 
 from decogs.encoder.output.observer import EncodeObserver
 from decogs.encoder.output.reports import FrameReport
-from decogs.formats.errors import UsageError
-from decogs.formats.outputs import Output, check_outputs, write_whole
+from decogs.formats.outputs import Output, check_folder_name, check_outputs, write_whole
 from decogs.formats.rigs import files_of
 
 from .left_out import LeftOut, LeftOutOptions, RigViewpoints
@@ -91,8 +90,7 @@ def make_views_report(
     What an earlier report left in ``output`` is not made again. Raises DecogsError for what cannot be encoded.
     """
     folder, options = Path(output), options or LeftOutOptions()
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder}: is a file; name a folder for the report")
+    check_folder_name(folder)
     rigs = [RigViewpoints(rig_dir, folder, options) for rig_dir in rig_dirs]
     check_names([rig.rig for rig in rigs])
     written = [Output("output", folder / f"{NAME}{suffix}", grows=True) for suffix in (".md", ".json")]

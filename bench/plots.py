@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError
+from decogs.formats.extras import install
 
 from .courses import Course
 from .rival_runs import RatePoint
@@ -38,7 +39,7 @@ _CHARACTERS_PER_INCH, _HANDLE_CHARACTERS = 13, 8
 def require_plots() -> None:
     """Raises UsageError when the plotting library is missing: better now than after hours of training."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise UsageError("the report's plots need matplotlib: pip install 'decogs[bench]'")
+        raise UsageError(f"the report's plots need matplotlib: {install('bench')}")
 
 
 def plot_quality(path: Path, runs: Mapping[str, Run]) -> None:

@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.errors import TrainingError, UsageError
-from decogs.formats.outputs import Output, check_outputs, write_whole
+from decogs.formats.outputs import Output, check_folder_name, check_outputs, write_whole
 from decogs.formats.rigs import files_of
 
 from . import choices, curve, differences, effects, paper, rates, summaries
@@ -89,8 +89,7 @@ def make_report(
     wanted = _wanted(plan, only)
     if plan.figures or plan.trade:
         require_plots()
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder}: is a file; name a folder for the report")
+    check_folder_name(folder)
     results = [RigResults(RigBench(rig_dir, folder, options)) for rig_dir in rig_dirs]
     check_names([result.bench.rig for result in results])
     written = [Output("output", folder / f"{plan.name}{suffix}", grows=True) for suffix in (".md", ".json", ".html")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn, TypeVar
 
@@ -173,6 +173,25 @@ class StreamHeader:
         if unknown:
             _refuse(f"this decoder does not know the effect {unknown[0]!r}", Reason.UNSUPPORTED_EFFECT)
         return header
+
+
+def unknown_members(payload: bytes) -> list[str]:
+    """What a header packet says that this version does not know, or that is out of its bounds, as paths."""
+    return list(_beyond(_parse(payload), _parse(StreamHeader.from_bytes(payload).to_bytes()), ""))
+
+
+def _beyond(told: Any, known: Any, path: str) -> Iterator[str]:
+    """Members of one document that another lacks, but for those that say nothing."""
+    if isinstance(told, list) and isinstance(known, list) and len(told) == len(known):
+        for index, (value, other) in enumerate(zip(told, known, strict=True)):
+            yield from _beyond(value, other, f"{path}[{index}]")
+    elif isinstance(told, dict) and isinstance(known, dict):
+        for name, value in told.items():
+            place = f"{path}.{name}" if path else name
+            if name in known:
+                yield from _beyond(value, known[name], place)
+            elif value:
+                yield place
 
 
 class _Fields:

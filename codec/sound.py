@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from decogs.formats.container import Packet
+from decogs.formats.errors import StreamError
 from decogs.formats.reasons import Reason
 
 from .lattice import Vector
@@ -30,6 +31,10 @@ MAX_TRACKS = 16
 MAX_CHANNELS = 2
 MAX_BLOCK_BYTES = 1276
 """The largest Opus packet of one 20 ms frame. Source: RFC 6716, section 3.2.1, and its first byte."""
+MAX_BLOCKS = 1024
+"""In a packet: 20 s, where a frame is heard for one at most."""
+MAX_PACKETS = 64
+"""Of a frame."""
 SLOWEST = 1.0
 """Frames per second below which a stream has no sound, so that a frame's is at most a second."""
 
@@ -84,6 +89,14 @@ def read_sound_tracks(document: object, fps: float | None) -> tuple[SoundTrack, 
 
 def read_sound(packet: Packet, tracks: Sequence[SoundTrack]) -> SoundPacket:
     """What a SOUND packet holds of one of these ``tracks``. Raises StreamError "bad-payload"."""
+    try:
+        return _read_sound(packet, tracks)
+    except StreamError as error:
+        error.sound_of = packet.frame
+        raise
+
+
+def _read_sound(packet: Packet, tracks: Sequence[SoundTrack]) -> SoundPacket:
     cursor = packet.cursor()
     track = cursor.u8()
     if track >= len(tracks):
@@ -94,6 +107,8 @@ def read_sound(packet: Packet, tracks: Sequence[SoundTrack]) -> SoundPacket:
         (length,) = _LENGTH.unpack(cursor.take(_LENGTH.size))
         if not 0 < length <= MAX_BLOCK_BYTES:
             cursor.fail(Reason.BAD_PAYLOAD, f"a block of sound has 1 to {MAX_BLOCK_BYTES} bytes, not {length}")
+        if len(blocks) == MAX_BLOCKS:
+            cursor.fail(Reason.BAD_PAYLOAD, f"more than {MAX_BLOCKS} blocks of sound")
         blocks.append(bytes(cursor.take(length)))
     return SoundPacket(track, offset, tuple(blocks))
 

@@ -21,6 +21,7 @@ from decogs.formats.command_line import (
     Parser,
     colour,
     counted,
+    frame_rate,
     number,
     number_of_bytes,
     number_of_threads,
@@ -176,7 +177,7 @@ def _add_world(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--first-frame", type=whole_number, default=0, metavar="N", help="number that frame 0 gets (default 0)"
     )
-    group.add_argument("--fps", type=number, metavar="F", help="frames per second (default: the stream's)")
+    group.add_argument("--fps", type=frame_rate, metavar="F", help="frames per second (default: the stream's)")
     group.add_argument(
         "--up",
         choices=UPS,

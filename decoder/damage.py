@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from decogs.formats.errors import StreamError
-from decogs.formats.survey import is_damage
+from decogs.formats.survey import check_places, is_damage
 
 
 class DamageWarning(UserWarning):
@@ -31,6 +31,8 @@ class Damage:
     onward: bool = False
 
     def __str__(self) -> str:
+        if not self.frames and self.error.sound_of is not None:
+            return f"{self.error}; the sound of frame {self.error.sound_of} is lost, and no frame"
         if not self.frames:
             return f"{self.error}; no frame is known to be lost by it"
         first, last = self.frames[0], self.frames[-1]
@@ -50,7 +52,7 @@ class Concealment:
         """``name``: the stream's, for messages. Without ``on_damage``, a DamageWarning is issued."""
         self._name, self.strict = name, strict
         self._on_damage = _warn if on_damage is None else on_damage
-        self._reported: set[tuple[int | None, str, range]] = set()
+        self._reported: set[tuple[int | None, str, range, int | None]] = set()
 
     def allows(self, error: StreamError) -> bool:
         """Whether to go on in spite of what is wrong."""
@@ -59,9 +61,10 @@ class Concealment:
     def report(self, damage: Damage) -> None:
         """Each damaged place is reported once, however often it is read."""
         _name(damage.error, self._name)
-        place = damage.error.offset, damage.error.reason, damage.frames
+        place = damage.error.offset, damage.error.reason, damage.frames, damage.error.sound_of
         if place not in self._reported:
             self._reported.add(place)
+            check_places(len(self._reported), damage.error)
             self._on_damage(damage)
 
 

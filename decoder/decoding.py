@@ -16,7 +16,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.length_units import metres_of
-from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.outputs import Output, check_outputs, files_read
 from decogs.formats.splats import FloatArray
 
 from .camera_files import camera_file, read_camera_file
@@ -29,7 +29,6 @@ from .frame_choice import (
     chosen_pictures,
     coming_frames,
     damage_to,
-    files_read,
     frames_in_any_order,
     open_chosen,
 )

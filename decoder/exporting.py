@@ -23,7 +23,8 @@ from decogs.formats.frame_names import is_numbered, names_of_frames
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.length_units import metres_of
 from decogs.formats.openusd import load_openusd
-from decogs.formats.outputs import Output, check_outputs, errors_named, staged_files
+from decogs.formats.outputs import Output, check_outputs, errors_named, files_read, staged_files
+from decogs.formats.regular_files import open_regular
 from decogs.formats.similarity import Similarity, transformed_splats
 from decogs.formats.splat_files import Extremes, SplatFormat, splat_formats
 from decogs.formats.splat_files.spz import SpzVersion
@@ -144,11 +145,13 @@ def export(
         names = _names(target, suffix, numbers)
         outputs = [Output("output", name) for name in names] or [Output("output", target)]
         shown: AnyStream = opened
+        read = files_read(stream=stream)
         if subject is not None:
             from .subject import SubjectOfStream
 
             shown = SubjectOfStream(opened, Path(subject), chosen, on_warning)
-        check_outputs(outputs, [(Path(stream), "is read, as `stream`")])
+            read += shown.files_read()
+        check_outputs(outputs, read)
         if suffix in USD_SUFFIXES:
             return _export_usd(plan, shown, chosen, Path(stream))
         return _export_splats(plan, shown, chosen, names)
@@ -223,7 +226,7 @@ def _asset(source: Path) -> tuple[str, str]:
     The same stream is the same version, and one that was encoded again is another.
     """
     digest = hashlib.sha256()
-    with source.open("rb") as file:
+    with open_regular(source) as file:
         while chunk := file.read(_CHUNK):
             digest.update(chunk)
     # A name need not be text that USD can hold.
@@ -293,7 +296,7 @@ def _export_splats(plan: _Plan, stream: AnyStream, chosen: range, names: list[Pa
     settings = {} if plan.spz_version is None else {"version": plan.spz_version}
     form = splat_formats()[plan.suffix](compensated=True, **settings)
     similarity, up = _similarity(plan, stream.header, form.up)
-    form = _fitted(form, plan, _extremes(plan, stream, chosen, similarity))
+    form = _fitted(form, plan, _extremes(plan, stream, chosen, similarity, form))
     size = 0
     files = _files(form, plan, stream, chosen, similarity)
     if not isinstance(plan.output, Path):
@@ -323,19 +326,21 @@ def _fitted(form: SplatFormat, plan: _Plan, extremes: Extremes) -> SplatFormat:
     return form
 
 
-def _extremes(plan: _Plan, stream: AnyStream, chosen: range, similarity: Similarity) -> Extremes:
+def _extremes(plan: _Plan, stream: AnyStream, chosen: range, similarity: Similarity, form: SplatFormat) -> Extremes:
     """First reading: what the format has to hold. Raises UsageError for a value that is not finite."""
     extremes, before = Extremes(2**63, 0, 0.0, stream.header.sh_degree), None
     for done, frame in enumerate(stream.frames(chosen.start, chosen.stop), start=1):
         if frame.splats is not before:
-            extremes = _with(extremes, transformed_splats(frame.splats, similarity), frame.index)
+            extremes = _with(extremes, transformed_splats(frame.splats, similarity), frame.index, form)
             before = frame.splats
         if plan.on_frame is not None:
             plan.on_frame(done, 2 * len(chosen))
     return extremes
 
 
-def _with(extremes: Extremes, splats: Splats, frame: int) -> Extremes:
+def _with(extremes: Extremes, splats: Splats, frame: int, form: SplatFormat) -> Extremes:
+    least, most = form.log_scales
+    outside = (splats.log_scales < least) | (splats.log_scales > most)
     for name, values in vars(splats).items():
         if not np.isfinite(values).all():
             raise UsageError(f"frame {frame}: {name} of a Gaussian are not finite; choose another `scale_to_metres`")
@@ -344,6 +349,7 @@ def _with(extremes: Extremes, splats: Splats, frame: int) -> Extremes:
         max(extremes.largest, len(splats)),
         max(extremes.farthest, float(np.abs(splats.means).max(initial=0))),
         extremes.sh_degree,
+        max(extremes.clamped, int(outside.any(axis=1).sum())),
     )
 
 

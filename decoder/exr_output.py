@@ -24,7 +24,6 @@ C = a f(c / a): what a compositing program makes of the straight PNG, for every 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +33,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.colour import linear_from_srgb
 from decogs.formats.errors import UsageError
+from decogs.formats.frame_rates import exact_rate
 from decogs.formats.splats import FloatArray
 
 from .straight_alpha import straight_colours
@@ -111,7 +111,7 @@ def save_exr(path: Path, rendering: Rendering, layers: Layers, *, fps: float) ->
 
     channels = {name: np.ascontiguousarray(plane) for name, plane in _channels(rendering, layers).items()}
     to_camera, to_ndc = camera_matrices(layers.camera)
-    rate = Fraction(fps).limit_denominator(1001)
+    rate = exact_rate(fps)
     header = {
         "type": OpenEXR.scanlineimage,
         "compression": OpenEXR.ZIP_COMPRESSION,

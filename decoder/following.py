@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, TypeVar
 
 from decogs.codec.frame_payload import split_payload
-from decogs.codec.sound import read_sound
+from decogs.codec.sound import MAX_PACKETS, read_sound
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -31,6 +31,7 @@ from decogs.formats.container import (
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import is_left_over, part_of
 from decogs.formats.reasons import Reason
+from decogs.formats.regular_files import open_regular
 from decogs.formats.survey import check_lost, check_places, next_past_damage, past_unfinished
 
 from .damage import Concealment, Damage, OnDamage, errors_name
@@ -127,13 +128,15 @@ class GrowingStream:
         None when nothing more comes.
         """
         errors: list[StreamError] = []
+        sounds = 0
         while (found := self._next()) is not None:
             if isinstance(found, StreamError):
                 errors.append(self._accepted(found))
                 if self.ended:
                     break
             elif found.kind == PacketKind.SOUND:
-                if self._sound is not None and found.frame == expected - 1:
+                sounds += found.frame == expected - 1
+                if self._sound is not None and found.frame == expected - 1 and sounds <= MAX_PACKETS:
                     self._hear(found, self._sound, errors)
             elif found.kind in FRAME_KINDS or found.kind == PacketKind.END:
                 repeated = found.kind in FRAME_KINDS and found.frame < expected
@@ -298,7 +301,7 @@ def open_growing(path: Path) -> BinaryIO:
     """
     growing = part_of(path)
     left_over = path.exists() and is_left_over(growing)
-    return open(growing if growing.exists() and not left_over else path, "rb", buffering=0)
+    return open_regular(growing if growing.exists() and not left_over else path, buffering=0)
 
 
 def _opened(path: Path, idle: float) -> BinaryIO:

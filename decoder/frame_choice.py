@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from decogs.formats.callbacks import OnWarning
@@ -37,18 +36,6 @@ def open_chosen(
     with open_stream(path, strict=strict, max_memory=max_memory, on_damage=damage_to(on_warning)) as stream:
         _warn_of_tail(stream, on_warning)
         yield stream, chosen_frames(stream, frames)
-
-
-def files_read(**read: object) -> list[tuple[Path, str]]:
-    """Those of the parameters that are files, or open ones that lie on a disk, and what each is called."""
-    found = []
-    for name, file in read.items():
-        if isinstance(file, (str, os.PathLike)):
-            found.append((Path(file), f"is read, as `{name}`"))
-        elif hasattr(file, "fileno"):
-            with suppress(OSError):  # as it lies in memory
-                found.append((Path(f"/dev/fd/{file.fileno()}"), f"is read, as `{name}`"))
-    return found
 
 
 def damage_to(on_warning: OnWarning | None) -> OnDamage:

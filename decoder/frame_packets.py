@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from typing import Any
+from typing import Any, BinaryIO
 
 from decogs.formats.container import FRAME_KINDS, IndexEntry, Packet, PacketReader
 from decogs.formats.errors import StreamError
@@ -56,7 +56,7 @@ class FramePackets:
 class FileFrom(io.RawIOBase):
     """A file read from a place of its own, so that several readers can share one open file."""
 
-    def __init__(self, file: io.BufferedReader, offset: int) -> None:
+    def __init__(self, file: BinaryIO, offset: int) -> None:
         self._file, self._offset = file, offset
 
     def readable(self) -> bool:

@@ -38,10 +38,11 @@ them, below which someone's is; share of all others' subjects that one denies, f
 
 def check_mattes(
     places: Sequence[str], cameras: Sequence[Camera], alphas: Sequence[FloatArray], warn: OnWarning
-) -> None:
-    """Raises RigError where the mattes (H, W) of one frame, by ``cameras`` without lenses, cannot be what they should.
+) -> str:
+    """How the mattes (H, W) of one frame agree, by ``cameras`` without lenses, in words.
 
-    ``places``: where they come from, for messages. ``warn`` is called where they contradict each other somewhat.
+    Raises RigError where they cannot be what they should. ``places``: where they come from, for messages. ``warn`` is
+    called where they contradict each other somewhat.
     """
     for place, alpha in zip(places, alphas, strict=True):
         problem = _problem(alpha)
@@ -49,8 +50,9 @@ def check_mattes(
             raise RigError(f"{place}: {problem}")
     if not any((alpha > _SURE_SUBJECT).any() for alpha in alphas):
         raise RigError(f"{places[0]} and all others: black all over, there is no subject; white is subject")
-    if len(cameras) >= _MIN_VIEWS:
-        _check_agreement(places, _agreement(cameras, rig_extent(cameras), alphas), warn)
+    if len(cameras) < _MIN_VIEWS:
+        return f"mattes can be right; whether they agree only {_MIN_VIEWS} cameras say"
+    return _check_agreement(places, _agreement(cameras, rig_extent(cameras), alphas), warn)
 
 
 def _problem(alpha: FloatArray) -> str:
@@ -67,7 +69,7 @@ def _problem(alpha: FloatArray) -> str:
     return ""
 
 
-def _check_agreement(places: Sequence[str], found: _Agreement, warn: OnWarning) -> None:
+def _check_agreement(places: Sequence[str], found: _Agreement, warn: OnWarning) -> str:
     denying, wrong = int(found.denied.argmax()), int(found.by_all_but_one.argmin())
     if found.by_all_but_one[wrong] < _WRONG:
         raise RigError(
@@ -84,6 +86,8 @@ def _check_agreement(places: Sequence[str], found: _Agreement, warn: OnWarning) 
             f"{places[denying]}: mattes contradict each other, this one most, and what one leaves out is lost in all: "
             f"at worst {found.by_all.min():.0%} of a camera's subject stays"
         )
+        return "mattes agree in part"
+    return f"mattes agree: of a camera's subject the others confirm {found.by_all.min():.0%} at least"
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.frame_names import names_of_frames
-from decogs.formats.outputs import errors_named, publish_files, staged_files
+from decogs.formats.outputs import ENDINGS, errors_named, publish_files, staged_files
 from decogs.formats.splats import FloatArray
 
 from .camera_path import DEFAULT_FPS as DEFAULT_FPS
@@ -47,10 +47,8 @@ if TYPE_CHECKING:
     from .rasterise import Rendering
 
 
-_OTHER_PICTURES = frozenset(
-    {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mkv", ".webm", ".m4v"}
-)
 _RAW = frozenset({".y4m", ".rgb"})
+_WRITTEN = frozenset({".png", ".exr", *CODECS, *_RAW})
 _LONGEST_VIEW = 200
 """Bytes of a view's name in a file name, which may have 255 in all."""
 
@@ -255,7 +253,7 @@ def _plan(
             "-: give an open binary file for a pipe, or name a folder, a .png, .exr, .mp4, .mov or .y4m file"
         )
     suffix = "" if str(output).endswith(("/", os.sep)) or target.is_dir() else target.suffix.lower()
-    if suffix in _OTHER_PICTURES:
+    if suffix in ENDINGS - _WRITTEN:
         raise UsageError(
             f"{target}: {suffix} is not written; name a folder (PNG), or a .png, .exr, .mp4, .mov or .y4m file"
         )

@@ -8,11 +8,12 @@ Source: yuv4mpeg(5) of mjpegtools; ITU-R BT.601, equations of 8-bit YCbCr.
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+
+from decogs.formats.frame_rates import exact_rate
 
 _YCBCR = np.array(
     [[65.481, 128.553, 24.966], [-37.797, -74.203, 112.0], [112.0, -93.786, -18.214]], np.float32
@@ -32,17 +33,12 @@ class RawVideo:
             self._file.write(np.ascontiguousarray(picture).tobytes())
             return
         if not self._begun:
-            rate, (height, width) = _ratio(self._fps), picture.shape[:2]
+            rate, (height, width) = exact_rate(self._fps), picture.shape[:2]
             self._file.write(
                 f"YUV4MPEG2 W{width} H{height} F{rate.numerator}:{rate.denominator} Ip A1:1 C444\n".encode()
             )
             self._begun = True
         self._file.write(b"FRAME\n" + to_ycbcr(picture).tobytes())
-
-
-def _ratio(fps: float) -> Fraction:
-    """A rate in small numbers, none of which is 0."""
-    return Fraction(fps).limit_denominator(1001) if fps >= 1 else 1 / Fraction(1 / fps).limit_denominator(1001)
 
 
 def to_ycbcr(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:

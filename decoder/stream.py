@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from types import TracebackType
+from typing import BinaryIO
 
 from decogs.codec.frame_payload import split_payload
-from decogs.codec.header import StreamHeader
+from decogs.codec.header import StreamHeader, unknown_members
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
 from decogs.formats.container import (
@@ -25,9 +28,11 @@ from decogs.formats.container import (
     read_index,
     scan_index,
     stops_inside,
+    unknown_kinds,
 )
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
+from decogs.formats.regular_files import Unchanged, open_regular
 from decogs.formats.similarity import transformed_camera
 from decogs.formats.survey import Survey, search, survey
 
@@ -58,15 +63,12 @@ class Stream:
     ) -> None:
         self.path = path
         self._concealment = Concealment(path, strict=strict, on_damage=on_damage)
-        self._file = open(path, "rb")  # noqa: SIM115 (closed by __exit__)
+        self._file = _opened(path)
+        self._unchanged = Unchanged(self._file, path)
         self._max_memory, self._max_payload = max_memory, payload_within(max_memory)
         self._max_frames = frames_within(max_memory)
         self._limits = {self._max_payload, self._max_frames} - {MAX_PAYLOAD}
         with self._closed_on_error(), self._errors_named():
-            if not self._file.seekable():
-                raise UsageError(
-                    f"{path}: cannot be seeked, as a pipe; decode it with - for stdin, or write it to a file first"
-                )
             reader = self._reader(0)
             self.stored_header = read_header(reader.next(), reader.offset)
             self.header = in_its_world(self.stored_header)
@@ -74,6 +76,7 @@ class Stream:
             self._survey = self._surveyed()
             self._scanned: Survey | None = None
             self.complete, self.unfinished_bytes = self._survey.complete, self._survey.unfinished_bytes
+            self._unchanged.grows = not self.complete
             if strict and self.unfinished_bytes:
                 raise stops_inside(self.unfinished_bytes, self.file_bytes - self.unfinished_bytes)
             self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, max_gaussians)
@@ -138,13 +141,26 @@ class Stream:
         A frame's sound is right after those before it (`decoder.sound.samples.frames_before`). Raises as `frames`.
         """
         self._check_open()
-        for frame in range(start, self.frame_count if stop is None else stop):
+        stop = self.frame_count if stop is None else stop
+        if not self.header.sound:
+            yield from repeat((), stop - start)
+            return
+        for frame in range(start, stop):
             with self._errors_named():
-                yield self._sound_of(frame)
+                sound = self._sound_of(frame)
+            yield sound
+
+    def not_known(self) -> list[str]:
+        """What the file holds that this version does not know: members of its header, kinds of packets."""
+        with self._errors_named():
+            header = self._reader(0).next()
+            members = [] if header is None else unknown_members(header.payload)
+            kinds = unknown_kinds(self._file)
+        return [*members, *(f"packets of kind {kind}" for kind in kinds)]
 
     def _sound_of(self, frame: int) -> FrameSound:
         entry, after = self._survey.entry(frame), self._survey.entry(frame + 1)
-        if entry is None or not self.header.sound:
+        if entry is None:
             return ()
         try:
             reader = self._reader(end_of_packet(self._file, entry.offset))
@@ -274,8 +290,12 @@ class Stream:
 
     @contextmanager
     def _errors_named(self) -> Iterator[None]:
-        with errors_name(self.path), limits_explained(self._max_memory, self._limits):
-            yield
+        """Also in the face of what is wrong only because the file changed."""
+        try:
+            with errors_name(self.path), limits_explained(self._max_memory, self._limits):
+                yield
+        finally:
+            self._unchanged.check()
 
     def _check_open(self) -> None:
         if self._file.closed:
@@ -314,6 +334,17 @@ def open_stream(
         max_gaussians=max_gaussians,
         max_memory=max_memory,
     )
+
+
+def _opened(path: Path) -> BinaryIO:
+    try:
+        return open_regular(path)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+        raise UsageError(
+            f"{path}: is no regular file; write the stream to a file first (`decogs-decode -` reads a pipe)"
+        ) from None
 
 
 def read_header(packet: Packet | None, offset: int) -> StreamHeader:

@@ -237,6 +237,7 @@ def info(
             frames.append(_frame_info(frame))
             if on_frame is not None:
                 on_frame(len(frames), opened.frame_count)
+        sounds = _sounds(opened)  # which finds damage, too
         return StreamInfo(
             opened.path,
             opened.file_bytes,
@@ -246,7 +247,7 @@ def info(
             opened.header,
             tuple(frames),
             tuple(found),
-            _sounds(opened),
+            sounds,
         )
 
 

@@ -18,7 +18,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.mattes import alpha_of, matte_place, stream_matte_rig
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import read_frames
-from decogs.formats.rigs.sources import PictureSource
+from decogs.formats.rigs.sources import files_of_source
 from decogs.formats.splats import FloatArray
 
 from .camera_corrections import as_it_stood
@@ -50,9 +50,8 @@ class SubjectOfStream:
 
     def files_read(self) -> list[tuple[Path, str]]:
         """The mattes, and what they are called."""
-        sources = self._rig.sources
-        files = [source.files if isinstance(source, PictureSource) else (source.path,) for source in sources]
-        return [(file, "is read, as `subject`") for file in chain.from_iterable(files)]
+        files = chain.from_iterable(map(files_of_source, self._rig.sources))
+        return [(file, "is read, as `subject`") for file in files]
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[DecodedFrame]:
         """The frames as ``Stream.frames`` has them, of the subject alone.

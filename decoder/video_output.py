@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError
+from decogs.formats.frame_rates import exact_rate
 from decogs.formats.splats import FloatArray
 
 Codec = Literal["h264", "hevc", "prores"]
@@ -113,7 +114,7 @@ class Movie:
         import av
 
         self._path, self._settings, self._samples = path, settings, sound
-        self._rate = Fraction(fps).limit_denominator(1001)
+        self._rate = exact_rate(fps)
         self.codec: Codec = settings.codec or CODECS[path.suffix.lower()][0]
         self._stream: Any = None
         self._sound: _Sound | None = None

@@ -8,6 +8,7 @@ Loads next to nothing itself: what is interrupted before that nobody can catch.
 
 from __future__ import annotations
 
+import _signal  # type: ignore[import-not-found]
 import os
 import sys
 
@@ -26,17 +27,22 @@ def _end(*_: object) -> NoReturn:
         os._exit(INTERRUPTED)
 
 
-try:
-    import signal
-    from importlib import import_module
-except KeyboardInterrupt:
-    _end()
+def _is_ours() -> bool:
+    """Whether Ctrl-C is to end the process: it is not ignored, as in the background of a script."""
+    return _signal.getsignal(_signal.SIGINT) in (_signal.default_int_handler, _end)
+
+
+# From here on: this module is the first thing that a script loads, and `signal` itself takes a while.
+if os.path.basename(sys.argv[0]).startswith("decogs-") and _is_ours():
+    _signal.signal(_signal.SIGINT, _end)
+
+import signal  # noqa: E402
+from importlib import import_module  # noqa: E402
 
 
 def _run(module: str, main: str) -> int:
     """Loads a command's module and runs it; returns its exit code."""
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        # Ignored, as in the background of a script.
+    if not _is_ours():
         return int(getattr(import_module(module), main)())
     signal.signal(signal.SIGINT, _end)
     command = getattr(import_module(module), main)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from decogs.formats.command_line import (
     Parser,
     counted,
+    frame_rate,
     in_option_names,
     number,
     number_of_bytes,
@@ -27,8 +28,10 @@ from decogs.formats.command_line import (
 )
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.frame_ranges import frame_range
+from decogs.formats.unicode_forms import composed
 
 from .input.mattes.options import add_matte_options, matte_choice
+from .output.reports import frames_text
 from .synchronisation.commands import add_sync_option, rig_in_step
 
 if TYPE_CHECKING:
@@ -83,7 +86,12 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
         "--scale", type=number, default=1.0, metavar="S", help="scale of the training pictures (default 1)"
     )
     group.add_argument(
-        "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
+        "--holdout",
+        action="append",
+        default=[],
+        type=composed,
+        metavar="CAM",
+        help="keep a camera out of training (repeatable)",
     )
     group.add_argument(
         "--audio",
@@ -96,6 +104,7 @@ def _add_input(group: argparse._ArgumentGroup) -> None:
         "--exclude",
         action="append",
         default=[],
+        type=composed,
         metavar="CAM",
         help="leave a camera out altogether, such as one that decogs-analyze calls harmful (repeatable)",
     )
@@ -157,7 +166,7 @@ def _add_effects(group: argparse._ArgumentGroup) -> None:
         "--effects",
         metavar="E",
         help="auto (default): analyse the rig as decogs-analyze does and enable the effects detected in it and in each "
-        "frame; all; none; or names with commas; -NAME disables one: auto,-camera_shake",
+        "frame; all; none; or names with commas; -NAME disables one: auto,-camera_shake, or --effects=-camera_shake",
     )
 
 
@@ -262,7 +271,7 @@ def pack_parser() -> Parser:
         "files", metavar="NAME_####.PLY", help="the files' names, with ####, %%04d or $F4 for the number"
     )
     parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
-    parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: not stated)")
+    parser.add_argument("--fps", type=frame_rate, metavar="F", help="frames per second (default: not stated)")
     exactness = parser.add_mutually_exclusive_group()
     exactness.add_argument(
         "--quality",
@@ -413,7 +422,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
     with in_option_names(option_names), _observed(parser, options) as progress:
         report = encode(job, progress=progress, on_warning=warn_as(parser))
     print_text("\n".join(_summary(report)), to_stderr=options.output == "-")
-    warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _full_frame_changes(report), _cut(report)]
+    warnings = [_rejected(report), *_uncorrected(report), _full_frame_changes(report), _cut(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):
         warn_as(parser)(warning)
@@ -491,7 +500,7 @@ def _summary(report: EncodeReport) -> list[str]:
     frames = report.frames
     if not frames:
         return [f"{report.output}: all {report.resumed} frames were already encoded, {report.total_bytes} bytes"]
-    what = counted(len(frames), "frame") if report.part is None else f"part with {_frames(report.part)}"
+    what = counted(len(frames), "frame") if report.part is None else f"part with {frames_text(report.part)}"
     lines = [f"{report.output}: {what}, {report.total_bytes} bytes"]
     if report.resumed is not None:
         lines[0] += f"; {report.resumed or 'none'} of them were already encoded"
@@ -523,19 +532,13 @@ def _held_out(report: EncodeReport) -> list[str]:
     return lines
 
 
-def _left_out(report: EncodeReport) -> list[str]:
-    """A line for every camera and reason, with the frames that it had no part in."""
-    frames: dict[tuple[str, str], list[int]] = {}
-    for frame in report.frames:
-        why = {name: f"its picture is {why}" for name, why in frame.left_out.items()} | frame.dropped
-        for left_out in why.items():
-            frames.setdefault(left_out, []).append(frame.frame)
-    return [f"camera {name} was left out of {_frames(at)}: {why}" for (name, why), at in frames.items()]
-
-
 def _rejected(report: EncodeReport) -> str:
     at = [frame.frame for frame in report.frames if frame.rejected]
-    return f"training diverged in {_frames(at)}, so the previous scene was kept; lower the learning rates" if at else ""
+    return (
+        f"training diverged in {frames_text(at)}, so the previous scene was kept; lower the learning rates"
+        if at
+        else ""
+    )
 
 
 def _uncorrected(report: EncodeReport) -> list[str]:
@@ -549,25 +552,15 @@ def _uncorrected(report: EncodeReport) -> list[str]:
 def _full_frame_changes(report: EncodeReport) -> str:
     at = [frame.frame for frame in report.frames if frame.full_frame_change]
     return (
-        f"the masks missed a change of most of the pictures; every Gaussian was trained in {_frames(at)}" if at else ""
+        f"the masks missed a change of most of the pictures; every Gaussian was trained in {frames_text(at)}"
+        if at
+        else ""
     )
 
 
 def _cut(report: EncodeReport) -> str:
     at = [frame.frame for frame in report.frames if frame.cut]
-    return f"another scene begins in {_frames(at)}, with a new keyframe" if at else ""
-
-
-def _frames(numbers: Sequence[int]) -> str:
-    """ "frames 3 to 5, 9" for ascending numbers."""
-    runs: list[list[int]] = []
-    for frame in numbers:
-        if runs and frame == runs[-1][1] + 1:
-            runs[-1][1] = frame
-        else:
-            runs.append([frame, frame])
-    text = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
-    return f"frame{'s'[: len(numbers) > 1]} {text}"
+    return f"{frames_text(at)}: another scene than the one before, with a new keyframe" if at else ""
 
 
 def _missed_budget(report: EncodeReport) -> str:

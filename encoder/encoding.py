@@ -12,13 +12,13 @@ from typing import Any, BinaryIO
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.outputs import JSON, STREAM, Output, check_outputs, files_read
 from decogs.formats.rigs import Rig, files_of, open_rig, stop_waiting, without_cameras
 from decogs.formats.threads import thread_count
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
-from .analysis.faults import MOVING
+from .analysis.faults import REFUSED
 from .backends import check_device
 from .frame.context import Context
 from .input.compositing import background_for
@@ -26,7 +26,7 @@ from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, check_held_out, frame_span
 from .input.matte_checks import check_mattes
-from .input.mattes import Mattes, open_mattes
+from .input.mattes import Mattes, files_of_mattes, open_mattes
 from .input.sound import SoundSource, sound_source
 from .job import EncodeJob
 from .memory_limit import EncodeMemory, memory_within
@@ -34,7 +34,7 @@ from .methods import FRAME_METHODS, require_sparse
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
 from .output.observer import EncodeObserver, Observers
-from .output.reports import EncodeReport
+from .output.reports import EncodeReport, left_out_warnings
 from .output.stream_output import open_output
 from .parts.base import Base, read_base
 from .parts.encoding import encode_part
@@ -47,8 +47,6 @@ from .stream.run import encode_stream
 from .switches import Switches, check_together, with_switches
 from .targets import Targets, with_targets
 
-_Source = KeyframeSource | SplatSource
-
 
 def encode(
     job: EncodeJob, *, progress: EncodeObserver | None = None, on_warning: OnWarning | None = None
@@ -56,7 +54,8 @@ def encode(
     """Encodes a rig as a .dgs stream, or a part of one.
 
     ``progress`` observes every step and frame. ``on_warning`` is called as soon as something is found that the user
-    should know of the rig, and of a stream or keyframe that does not show its pictures.
+    should know of the rig, and of a stream or keyframe that does not show its pictures; at the end, for cameras that
+    were left out of frames.
 
     Ctrl-C after the first frame ends the stream early but whole. Raises RigError, UsageError, StreamError for a damaged
     ``keyframe``, or TrainingError; nothing is then left under the output's name.
@@ -108,6 +107,8 @@ def encode(
         else:
             report = encode_part(context, target, work.part, work.span, options, work.base, device=job.device)
         report = replace(report, held_out_sizes=ingest.held_out_sizes)
+        for text in left_out_warnings(report.frames):
+            warn(text)
         observer.finished(
             {
                 "output": str(report.output),
@@ -136,7 +137,7 @@ class _Work:
     span: range
     part: range | None
     base: Base | None
-    source: _Source | None
+    source: KeyframeSource | SplatSource | None
     sound: SoundSource | None
     memory: EncodeMemory
 
@@ -144,13 +145,11 @@ class _Work:
 def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     """All that can be checked before work begins; raises what `encode` raises."""
     check_device(job.device)
-    if job.metrics and job.resume:
-        raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
     if not (isinstance(job.seed, int) and job.seed >= 0):
         raise UsageError(f"`seed` {job.seed}: give a number of at least 0, a whole one")
     settings = chosen_settings(job)
     base = _base(settings, job)
-    source = None if job.keyframe is None or base is not None else _read_source(job.keyframe, job.max_memory)
+    source = None if base is not None else source_of(job)
     rig = job.rig if isinstance(job.rig, Rig) else open_rig(job.rig)
     for warning in rig.warnings:
         warn(warning)
@@ -163,7 +162,7 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     ingest = Ingest(rig, holdout=job.holdout, scale=job.scale, mattes=mattes)
     output = Path(job.output) if isinstance(job.output, (str, os.PathLike)) else job.output
     sound = sound_source(job.audio, rig, span.start, warn)
-    _check_outputs(job, output, rig, mattes, sound, reads_keyframe=base is not None or source is not None)
+    _check_outputs(job, output, rig, mattes)
     if ingest.has_mattes:
         first = next(ingest.frames(span.start, span.start + 1))
         check_mattes(ingest, first, warn)
@@ -211,23 +210,18 @@ def _facts(job: EncodeJob, work: _Work, ingest: Ingest, settings: EncodeSettings
     }
 
 
-def _check_outputs(
-    job: EncodeJob,
-    stream: Path | BinaryIO,
-    rig: Rig,
-    mattes: Mattes | None,
-    sound: SoundSource | None,
-    *,
-    reads_keyframe: bool,
-) -> None:
+def _check_outputs(job: EncodeJob, stream: Path | BinaryIO, rig: Rig, mattes: Mattes | None) -> None:
     """Raises UsageError when the encode would write over something it reads, or twice into one file."""
-    outputs = [Output("output", stream, grows=True)]
+    outputs = [Output("output", stream, grows=True, format=STREAM)]
     logs = {"log": job.log, "convergence_log": job.convergence_log}
-    outputs += [Output(name, Path(path)) for name, path in logs.items() if path is not None]
-    read = [(Path(job.keyframe), "is read, as `keyframe`")] if job.keyframe is not None and reads_keyframe else []
-    read += [(file, "is a matte or a plate of the rig") for file in (() if mattes is None else mattes.files)]
-    read += [] if sound is None else [(sound.path, "is read, as `audio`")]
-    check_outputs(outputs, [*files_of(rig), *read])
+    outputs += [Output(name, Path(path), format=JSON) for name, path in logs.items() if path is not None]
+    check_outputs(outputs, files_of_job(job, rig, mattes))
+
+
+def files_of_job(job: EncodeJob, rig: Rig, mattes: Mattes | None) -> list[tuple[Path, str]]:
+    """Every file that an encode reads, and what it is called."""
+    read = files_read(keyframe=job.keyframe, audio=job.audio)
+    return [*files_of(rig), *files_of_mattes(mattes), *read]
 
 
 def _base(settings: EncodeSettings, job: EncodeJob) -> Base | None:
@@ -241,8 +235,13 @@ def _base(settings: EncodeSettings, job: EncodeJob) -> Base | None:
     return None if job.keyframe is None or is_splat_file(job.keyframe) else read_base(Path(job.keyframe))
 
 
-def _read_source(path: str | os.PathLike[str], max_memory: int | None) -> _Source:
-    return read_splat_source(path, max_memory) if is_splat_file(path) else read_keyframe(path)
+def source_of(job: EncodeJob) -> KeyframeSource | SplatSource | None:
+    """The keyframe to begin with, if the job names one. Raises UsageError for what cannot be read."""
+    if job.keyframe is None:
+        return None
+    return (
+        read_splat_source(job.keyframe, job.max_memory) if is_splat_file(job.keyframe) else read_keyframe(job.keyframe)
+    )
 
 
 def chosen_settings(job: EncodeJob) -> EncodeSettings:
@@ -291,9 +290,9 @@ def _with_effects(
         found = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
         for warning in found.check.warnings():
             warn(warning)
-        moving = [fault for camera in found.check.cameras for fault in camera.faults if fault.word == MOVING]
-        if moving:
-            raise RigError(f"{work.rig.path}: {moving[0]}")
+        refused = [fault for camera in found.check.cameras for fault in camera.faults if fault.word in REFUSED]
+        if refused:
+            raise RigError(f"{work.rig.path}: {refused[0]}")
         observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
         return found.decisions
 

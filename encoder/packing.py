@@ -26,7 +26,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.container import MAX_FRAME, Packet
 from decogs.formats.errors import StreamError, TrainingError, UsageError
 from decogs.formats.frame_names import numbered_files
-from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.outputs import STREAM, Output, check_outputs
 from decogs.formats.splat_files import Room
 from decogs.formats.splat_files.reading import SplatFile, read_splats
 from decogs.formats.splats import FloatArray, Splats, take_splats
@@ -87,7 +87,7 @@ def pack(
     scale = _checked_scale(quality, fps, segment, len(named), lossless=lossless)
     target = Path(output) if isinstance(output, (str, os.PathLike)) else output
     inputs = [path for _, path in named]
-    check_outputs([Output("output", target, grows=True)], [(path, "is read") for path in inputs])
+    check_outputs([Output("output", target, grows=True, format=STREAM)], [(path, "is read") for path in inputs])
     warn = on_warning or (lambda text: None)
     room, sizes = Room(DEFAULT_MAX_GAUSSIANS, max_memory, _FLOAT_COPIES), list[int]()
     with open_output(target, resumable=False, expendable=lambda left, _: _PACKED_SETTING in left.settings) as stream:

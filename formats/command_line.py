@@ -22,6 +22,7 @@ from typing import Any, BinaryIO, NoReturn
 from .callbacks import OnProgress
 from .errors import DecogsError, TryAgainError, UsageError
 from .extras import what_to_install
+from .frame_rates import read_rate
 from .operating_systems import ENDING_SIGNALS
 from .progress import open_progress
 
@@ -30,6 +31,8 @@ TRY_AGAIN = 75
 INTERRUPTED = 130
 _BROKEN_PIPE = 141
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]+")
+_DIRECTIONS = re.compile("[\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff]")
+"""Characters that end a line, or change in which order the others are shown, so that a name looks like another one."""
 _PARAMETER = re.compile("`([a-z_]+)`")
 """How a library's texts name a parameter: it knows no options."""
 _TAKE_DASHES = ("--frames", "--only", "--up")
@@ -70,7 +73,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Prints one line and ends the process with exit code 2."""
-        sys.stderr.write(f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+        _say(f"{self.prog}: error: {message} (see {self.prog} --help)", USER_ERROR)
         raise SystemExit(USER_ERROR)
 
 
@@ -304,9 +307,9 @@ def progress(what: str, unit: str = "frame", *, quiet: bool = False) -> Iterator
 
 
 def print_text(text: str, *, to_stderr: bool = False) -> None:
-    """Prints; what keeps the standard stream from being written is said with its name."""
+    """Prints lines as `printable` has them; what keeps the standard stream from being written is said with its name."""
     try:
-        print(text, file=sys.stderr if to_stderr else sys.stdout, flush=True)
+        print("\n".join(map(_escaped, text.split("\n"))), file=sys.stderr if to_stderr else sys.stdout, flush=True)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -335,6 +338,14 @@ def number(text: str) -> float:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"{text!r} is no number")
+
+
+def frame_rate(text: str) -> float:
+    """An option's frames per second, also as a fraction; ArgumentTypeError for anything else."""
+    rate = read_rate(text)
+    if rate is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no rate; write frames per second: 25, 29.97, 30000/1001")
+    return rate
 
 
 def vector(text: str) -> tuple[float, float, float]:
@@ -384,7 +395,11 @@ def _say(line: str, code: int) -> int:
 
 def printable(text: str) -> str:
     """Text of strangers on one line, without what a terminal would take for commands."""
-    return _CONTROL.sub(" ", text).strip()
+    return _escaped(text).strip()
+
+
+def _escaped(line: str) -> str:
+    return _DIRECTIONS.sub(lambda found: ascii(found[0])[1:-1], _CONTROL.sub(" ", line))
 
 
 def counted(number: int, thing: str) -> str:

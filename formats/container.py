@@ -9,6 +9,7 @@ import os
 import struct
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import BinaryIO, NoReturn
@@ -216,7 +217,12 @@ class PacketReader:
         kind, critical, frame, length = self._packet_header()
         if not self._fill(PACKET_OVERHEAD + length):
             return None
-        packet = Packet(kind, frame, self._payload(length), critical, self._ordinal, self._offset)
+        try:
+            payload = self._payload(length)
+        except StreamError as error:
+            error.sound_of = frame if kind == PacketKind.SOUND else None
+            raise
+        packet = Packet(kind, frame, payload, critical, self._ordinal, self._offset)
         self._check_place(packet)
         self._consume(packet.size)
         if self._ordinal is not None:
@@ -437,6 +443,17 @@ def scan_index(file: BinaryIO, *, max_frames: int = MAX_FRAME) -> list[IndexEntr
         offset += PACKET_OVERHEAD + length
         ordinal += 1
     return entries
+
+
+def unknown_kinds(file: BinaryIO) -> list[int]:
+    """Kinds of packets in a seekable file that this version does not know, rising; found up to the first damage."""
+    size, offset, kinds = file.seek(0, os.SEEK_END), PROLOGUE_SIZE, set()
+    with suppress(StreamError):
+        while offset + PACKET_OVERHEAD <= size:
+            kind, _, length = _header_at(file, offset)
+            offset += PACKET_OVERHEAD + length
+            kinds.add(kind)
+    return sorted(kinds - _KNOWN_KINDS)
 
 
 def end_of_packet(file: BinaryIO, offset: int) -> int:

@@ -46,7 +46,8 @@ class StreamError(DecogsError):
     """A .dgs stream that is damaged, truncated, hostile or of a version this reader does not know.
 
     ``reason`` is a stable code from SPEC.md, section "Reason codes"; ``packet`` the packet's ordinal from 0 (None
-    before the first packet); ``offset`` the byte offset in the stream (None when it has no place).
+    before the first packet); ``offset`` the byte offset in the stream (None when it has no place); ``sound_of`` the
+    frame whose sound is lost by it (None where that is not known).
     """
 
     def __init__(self, reason: str, message: str, *, packet: int | None = None, offset: int | None = None) -> None:
@@ -56,3 +57,4 @@ class StreamError(DecogsError):
         self.reason = reason
         self.packet = packet
         self.offset = offset
+        self.sound_of: int | None = None

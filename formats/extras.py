@@ -1,4 +1,4 @@
-"""Which extra of the installation brings a library that not everyone needs."""
+"""Which extra of the installation brings a library that not everyone needs, and how it is installed."""
 
 from __future__ import annotations
 
@@ -16,4 +16,25 @@ def what_to_install(error: ModuleNotFoundError, *, whole: str | None = None) -> 
         return None
     library, extra = _BROUGHT[package]
     extra = whole if whole and extra != "usd" else extra
-    return f"this needs {library}, which is not installed: pip install 'decogs[{extra}]'"
+    return f"this needs {library}, which is not installed: {install(extra)}"
+
+
+def install(extra: str) -> str:
+    """The command that brings an extra: from the checkout or wheel that decogs was installed from, or else by name."""
+    # Commands import this module, and few of them ever need these.
+    import json
+    from importlib import metadata
+    from pathlib import Path
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
+    try:
+        origin = json.loads(metadata.distribution("decogs").read_text("direct_url.json") or "{}")  # PEP 610
+    except metadata.PackageNotFoundError:
+        origin = {}
+    address = urlsplit(origin.get("url", ""))
+    path = Path(url2pathname(address.path))
+    if address.scheme != "file" or not path.exists():
+        return f"pip install 'decogs[{extra}]'"
+    editable = "-e " if origin.get("dir_info", {}).get("editable") else ""
+    return f"pip install {editable}'{path}[{extra}]'"

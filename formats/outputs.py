@@ -4,7 +4,8 @@ A file grows beside its name, as ``NAME.part``, locked (flock) by the process th
 disk and then renamed. Every file that our own code writes goes through `GrowingFile`; pictures, videos and USD are
 written by libraries, which want a name: in a folder, or under a name, of their own, and are moved. What is asked for is
 compared before anything is opened (`check_outputs`): by device and inode where a file is there, by its resolved path
-where not, so that links and other spellings of a name are seen through.
+where not, so that links and other spellings of a name are seen through. A file of another format is never replaced,
+and no name is given whose ending means another format.
 """
 
 from __future__ import annotations
@@ -33,17 +34,47 @@ Expendable = Callable[[Path], bool]
 
 _Place = tuple[int, int] | str
 
+ENDINGS = frozenset({
+    ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mxf", ".ts", ".m2ts", ".mts", ".mpg", ".mpeg", ".wmv", ".y4m",
+    ".yuv", ".rgb", ".wav", ".w64", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".aiff", ".caf", ".ac3", ".eac3",
+    ".wma", ".au", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".heic", ".webp", ".bmp", ".dpx", ".hdr", ".gif",
+    ".dgs", ".ply", ".spz", ".sog", ".splat", ".glb", ".gltf", ".obj", ".fbx", ".abc", ".usd", ".usda", ".usdc",
+    ".usdz", ".blend", ".npy", ".npz", ".h5", ".zip", ".tar", ".gz", ".pdf", ".toml", ".yaml", ".yml", ".json",
+    ".jsonl", ".txt", ".csv", ".xml", ".html", ".md", ".py",
+})  # fmt: skip
+"""Endings that say what a file holds."""
+
+_FIRST_BYTES = 64
+
 _ABOUT_TO_BE_LOCKED = 2.0
 """Seconds after a file was made in which its maker may not have locked it yet."""
 
 
 @dataclass(frozen=True)
+class FileFormat:
+    """What a command writes: what it is called, the endings that it may have, and how a file of it ``begins``."""
+
+    name: str
+    endings: frozenset[str]
+    begins: tuple[bytes, ...]
+
+
+STREAM = FileFormat("a .dgs stream", frozenset({".dgs"}), (SIGNATURE,))
+JSON = FileFormat("JSON", frozenset({".json", ".jsonl", ".txt"}), (b"{", b"["))
+PNG = FileFormat("a PNG picture", frozenset({".png"}), (b"\x89PNG",))
+
+
+@dataclass(frozen=True)
 class Output:
-    """Something to be written: the parameter that asks for it and the file; ``grows``: beside its name first."""
+    """Something to be written: the parameter that asks for it and the file; ``grows``: beside its name first.
+
+    ``format``: what it holds, where its name may have another ending and a file of another format be there.
+    """
 
     parameter: str
     file: Path | BinaryIO
     grows: bool = False
+    format: FileFormat | None = None
 
     @property
     def places(self) -> list[tuple[str, _Place]]:
@@ -57,10 +88,22 @@ class Output:
         return [(str(path), _place(path)) for path in paths]
 
 
-def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]]) -> None:
-    """Raises UsageError when an output would be written over an input, or two outputs in one place.
+def files_read(**read: object) -> list[tuple[Path, str]]:
+    """Those of the parameters that are files, or open ones that lie on a disk, and what each is called."""
+    found = []
+    for name, file in read.items():
+        if isinstance(file, (str, os.PathLike)):
+            found.append((Path(file), f"is read, as `{name}`"))
+        elif hasattr(file, "fileno"):
+            with suppress(OSError):  # as it lies in memory
+                found.append((Path(f"/dev/fd/{file.fileno()}"), f"is read, as `{name}`"))
+    return found
 
-    ``inputs``: each file that is read, and what it is called. Nothing is opened.
+
+def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]]) -> None:
+    """Raises UsageError when an output would be written over an input, over another output or a file of another format.
+
+    ``inputs``: each file that is read, and what it is called.
     """
     taken: dict[_Place, str] = {}
     there = {place for output in outputs for _, place in output.places if isinstance(place, tuple)}
@@ -74,6 +117,35 @@ def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]])
             if place in taken:
                 raise UsageError(f"`{output.parameter}` {name}: {taken[place]}; name another file")
         taken |= {place: f"`{output.parameter}` is written there, too" for _, place in places}
+    for output in outputs:
+        if output.format is not None and isinstance(output.file, Path) and not is_device(output.file):
+            _check_format(output.parameter, output.file, output.format)
+
+
+def check_folder_name(folder: Path) -> None:
+    """Raises UsageError for a folder to write that is a file, or would get a name with the ending of one."""
+    if folder.is_dir():
+        return
+    if folder.exists():
+        raise UsageError(f"{folder}: is a file; name a folder")
+    if folder.suffix.lower() in ENDINGS:
+        raise UsageError(f"{folder}: {folder.suffix} ends the name of a file, and a folder is written; rename it")
+
+
+def _check_format(parameter: str, path: Path, format: FileFormat) -> None:
+    for ending in (path.suffix.lower(), resolved(path).suffix.lower()):
+        if ending in ENDINGS - format.endings:
+            raise UsageError(
+                f"`{parameter}` {path}: {ending} is another format, and {format.name} is written; rename it"
+            )
+    if not path.is_file() or not path.stat().st_size:
+        return
+    with path.open("rb") as file:
+        begins = file.read(_FIRST_BYTES).lstrip()
+    if not begins.startswith(format.begins):
+        raise UsageError(
+            f"`{parameter}` {path}: a file is there that is not {format.name}, and is not replaced; name another file"
+        )
 
 
 @contextmanager

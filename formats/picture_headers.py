@@ -6,7 +6,7 @@ pixels are missing, and does not give the chunk table's place. Pillow passes 165
 them, and refuses sizes by a limit of the whole process.
 
 Sources: PNG (third edition), ITU-T T.81 (JPEG), ICC.1 annex B (profiles in files), TIFF 6.0, CIPA DC-008 (EXIF),
-OpenEXR File Layout.
+RFC 9649 (WebP), Microsoft's BITMAPINFOHEADER (BMP), OpenEXR File Layout.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from pathlib import Path
 
 from .errors import RigError
 
-PICTURE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"})
+PICTURE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr"})
+PICTURE_KINDS = "PNG, JPEG, TIFF, WebP, BMP or EXR"
+"""The same in words."""
 TIFF_SUFFIXES = frozenset({".tif", ".tiff"})
 
 MAX_PIXELS = 1 << 28
@@ -73,10 +75,14 @@ def read_header(path: Path, data: bytes) -> PictureHeader:
             header = _jpeg_header(path, data)
         elif suffix in TIFF_SUFFIXES:
             header = _tiff_header(path, data)
+        elif suffix == ".webp":
+            header = _webp_header(path, data)
+        elif suffix == ".bmp":
+            header = PictureHeader(*_bmp_size(path, data))
         elif suffix == ".exr":
             header = PictureHeader(*_exr_size(path, data))
         else:
-            raise RigError(f"{path}: not a picture format that can be read; use PNG, JPEG, TIFF or EXR")
+            raise RigError(f"{path}: not a picture format that can be read; use {PICTURE_KINDS}")
     except (struct.error, IndexError, ValueError):
         raise damaged(path, "the picture's header is damaged or truncated") from None
     if header.width < 1 or header.height < 1 or header.width * header.height > MAX_PIXELS:
@@ -289,6 +295,52 @@ def tiff_as_stored(data: bytes) -> bytes:
             order = "big" if data[:1] == b"M" else "little"
             out[ifd.place(tag) : ifd.place(tag) + 2] = plain.to_bytes(2, order)  # type: ignore[arg-type]
     return bytes(out)
+
+
+# --- WebP and BMP ---------------------------------------------------------------------------------------------------
+
+
+def _webp_header(path: Path, data: bytes) -> PictureHeader:
+    """Also checks that the file is whole."""
+    if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
+        raise damaged(path, "this is not a WebP file")
+    chunks, at, end = dict[bytes, bytes](), 12, 8 + int(struct.unpack_from("<I", data, 4)[0])
+    while at < end - 8:
+        kind, length = struct.unpack_from("<4sI", data, at)
+        chunks.setdefault(kind, data[at + 8 : at + 8 + length])
+        at += 8 + length + length % 2
+    if max(at, end) > len(data):
+        raise damaged(path, "the WebP file is truncated")
+    if b"ANIM" in chunks:
+        raise RigError(f"{path}: a moving WebP is not read; write a picture for each frame, or a video")
+    if b"VP8X" in chunks:
+        low, high = struct.unpack("<4x3s3s", chunks[b"VP8X"])
+        size = int.from_bytes(low, "little") + 1, int.from_bytes(high, "little") + 1
+    elif b"VP8L" in chunks:
+        (bits,) = struct.unpack_from("<I", chunks[b"VP8L"], 1)
+        size = (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    elif b"VP8 " in chunks:
+        width, height = struct.unpack_from("<HH", chunks[b"VP8 "], 6)
+        size = width & 0x3FFF, height & 0x3FFF
+    else:
+        raise damaged(path, "the WebP file holds no picture")
+    profile: bytes | None = chunks.get(b"ICCP", b"")
+    if profile is not None and len(profile) > MAX_PROFILE:
+        profile = None
+    exif = Ifd(chunks.get(b"EXIF", b"").removeprefix(b"Exif\0\0"))
+    return PictureHeader(*size, exif.number(_ORIENTATION, 1), profile)
+
+
+def _bmp_size(path: Path, data: bytes) -> tuple[int, int]:
+    """Also checks that the file is whole, and of a kind that OpenCV reads as it is meant."""
+    if data[:2] != b"BM":
+        raise damaged(path, "this is not a BMP file")
+    start, header, width, height, _, bits, coding = struct.unpack_from("<IIiiHHI", data, 10)
+    if header < 40 or bits not in (8, 24, 32) or coding not in ((0, 3) if bits == 32 else (0,)):
+        raise RigError(f"{path}: BMP of other than 8, 24 or 32 plain bits is not read; write it as PNG")
+    if width > 0 and start + (width * bits + 31) // 32 * 4 * abs(height) > len(data):
+        raise damaged(path, "the BMP file is truncated")
+    return width, abs(height)
 
 
 # --- EXR ------------------------------------------------------------------------------------------------------------

@@ -1,8 +1,8 @@
-"""Reads one picture from a file: PNG, JPEG and TIFF as display-referred bytes, OpenEXR as scene-linear floats.
+"""Reads one picture from a file: OpenEXR as scene-linear floats, all others as display-referred bytes.
 
 A damaged file is refused before its decoder sees it where that is cheap (PNG checksums, JPEG end marker, places of TIFF
-strips, EXR chunk table): the decoders print to the terminal or hand out half a picture instead of failing.
-docs/colours.md says what the numbers mean.
+strips, lengths of WebP and BMP, EXR chunk table): the decoders print to the terminal or hand out half a picture instead
+of failing. docs/colours.md says what the numbers mean.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from .errors import RigError
 from .exr_pictures import exr_warnings, read_exr, read_exr_alpha
 from .picture_headers import (
     MAX_PIXELS,
+    PICTURE_KINDS,
     PICTURE_SUFFIXES,
     TIFF_SUFFIXES,
     PictureHeader,
@@ -32,13 +33,15 @@ from .quiet import quiet_opencv
 from .regular_files import open_regular
 
 __all__ = [
-    "MAX_PIXELS", "PICTURE_SUFFIXES", "Picture", "PictureFacts", "decode_picture", "picture_facts", "read_alpha",
-    "read_picture",
+    "MAX_PIXELS", "PICTURE_KINDS", "PICTURE_SUFFIXES", "Picture", "PictureFacts", "decode_picture", "picture_facts",
+    "read_alpha", "read_picture",
 ]  # fmt: skip
 
 Picture: TypeAlias = NDArray[np.uint8] | NDArray[np.float32]
 """(H, W, 3) RGB, C-contiguous: uint8 display-referred (sRGB-coded), or float32 scene-linear."""
 
+_PNG_WITH_ALPHA = (4, 6)
+"""Colour types. Source: PNG specification, section 11.2.1."""
 _PNG_PIXELS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 
 
@@ -54,7 +57,7 @@ class PictureFacts:
 
 
 def read_picture(path: Path) -> Picture:
-    """The picture in ``path``, RGB, (H, W, 3): uint8 sRGB from PNG, JPEG and TIFF, float32 from EXR.
+    """The picture in ``path``, RGB, (H, W, 3): float32 from EXR, uint8 sRGB from all others.
 
     Alpha is dropped, grey is repeated, 16 bit are rounded to 8; pixels stay as stored (EXIF orientation is not
     applied). Colours with an ICC profile are converted to sRGB, an EXR's with other chromaticities to Rec. 709. An EXR
@@ -73,17 +76,20 @@ def decode_picture(path: Path, data: bytes) -> Picture:
 
 
 def read_alpha(path: Path) -> NDArray[np.float32] | None:
-    """The alpha (H, W), 0..1, of a PNG or EXR, as stored; None where the file has none. Raises RigError."""
+    """The alpha (H, W), 0..1, of a PNG, WebP or EXR, as stored; None where the file has none. Raises RigError."""
     suffix = path.suffix.lower()
-    if suffix not in (".png", ".exr"):
+    if suffix not in (".png", ".webp", ".exr"):
         return None
     data = _read_bytes(path)
     header = read_header(path, data)
     if suffix == ".exr":
         return read_exr_alpha(path, data)
+    if suffix == ".png" and data[25] not in _PNG_WITH_ALPHA and b"tRNS" not in data[: data.find(b"IDAT")]:
+        return None
     import cv2
 
-    pixels = _decoded(path, _checked_png(path, data), header, cv2.IMREAD_UNCHANGED)
+    coded = _checked_png(path, data) if suffix == ".png" else data
+    pixels = _decoded(path, coded, header, cv2.IMREAD_UNCHANGED)
     if pixels.ndim < 3 or pixels.shape[2] != 4:
         return None
     return np.asarray(pixels[..., 3] / np.float32(np.iinfo(pixels.dtype).max), np.float32)
@@ -147,7 +153,7 @@ def _read_coded(path: Path, data: bytes, header: PictureHeader) -> NDArray[np.ui
         data = _checked_png(path, data)
     elif suffix in TIFF_SUFFIXES:
         data = tiff_as_stored(data)
-    else:
+    elif suffix in (".jpg", ".jpeg"):
         _check_jpeg(path, data)
     bgr = _decoded(path, data, header, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     rgb = bgr[:, :, ::-1]

@@ -72,6 +72,8 @@ class Survey:
         return (error for error in self.damage if id(error) not in causes)
 
     def _place(self, frame: int) -> int:
+        if 0 <= frame < len(self.entries) and self.entries[frame].frame == frame:
+            return frame  # none is lost before it
         return bisect_left(self.entries, frame, key=_frame)
 
 

@@ -2,7 +2,8 @@
 
 Opening lists the container's packets, which gives the frame count and every time without decoding. Then it decodes the
 first frame, one at some keyframes, and those from the last keyframe on: what no decoder shows, a stream that ends early
-and frames flagged interlaced are found before training starts. What is found later stops the reading, with the frame.
+and frames flagged interlaced are found before training starts. What is found later stops the reading, with the frame;
+after damage reading can begin again at the next keyframe.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import errno
 import os
 import struct
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from av.sidedata.sidedata import Type as SideData
 from av.stream import Disposition
 from numpy.typing import NDArray
 
+from .clean_aperture import NO_EDGES, Edges, edges_of_track
 from .errors import RigError
 from .pictures import MAX_PIXELS, Picture
 from .splats import FloatArray
@@ -38,7 +40,7 @@ DEMUXERS = {
     "matroska": (".mkv", ".webm"),
     "avi": (".avi",),
     "mpegts": (".ts", ".mts", ".m2ts"),
-    "mpeg": (".mpg", ".mpeg"),
+    "mpeg": (".mpg", ".mpeg", ".vob"),
     "mxf": (".mxf",),
     "yuv4mpegpipe": (".y4m",),
 }
@@ -72,7 +74,9 @@ class VideoSource:
 
     Width and height in pixels, as shown; fps None if the file does not say. ``times``: presentation time of every frame
     in the track's own unit, (frame_count,) int64, or None if the container has no usable times; ``keyframes``: those of
-    frames that decoding can begin with. ``turn``: see ``_turn``. ``warnings``: what shows in its pictures.
+    frames that decoding can begin with, their numbers where there are no times. ``dropped``: frames that repeat the one
+    before. ``edges``: pixels of the decoded frames that are not shown. ``turn``: see ``_turn``, after that.
+    ``warnings``: what shows in its pictures.
     """
 
     path: Path
@@ -82,7 +86,9 @@ class VideoSource:
     fps: float | None
     times: NDArray[np.int64] | None = field(default=None, repr=False, compare=False)
     keyframes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64), repr=False, compare=False)
+    dropped: frozenset[int] = field(default=frozenset(), repr=False)
     siting: Siting = (True, False)
+    edges: Edges = NO_EDGES
     turn: tuple[int, int, int, int] = (1, 0, 0, 1)
     warnings: tuple[str, ...] = ()
 
@@ -90,7 +96,7 @@ class VideoSource:
         """Every step-th frame from start (inclusive) to stop (exclusive), RGB uint8; others are passed over.
 
         A far start is sought. Raises RigError if the video ends early, drops a frame, changes its size, or has a frame
-        that is interlaced or damaged.
+        that is interlaced, damaged, or predicted from a damaged one.
         """
         with closing(self._frames_from(start)) as frames:
             for index in range(start, stop):
@@ -100,24 +106,53 @@ class VideoSource:
                 if (index - start) % step == 0:
                     yield self.picture(frame, index)
 
+    def readable_after(self, index: int) -> int:
+        """The first frame after a damaged one that is not predicted from it: the next keyframe."""
+        if self.times is None:
+            later = self.keyframes[self.keyframes > index]
+        else:
+            later = np.searchsorted(self.times, self.keyframes[self.keyframes > self.times[index]])
+        return int(later[0]) if later.size else self.frame_count
+
     def _frames_from(self, start: int) -> Generator[VideoFrame, None, None]:
         """The decoded frames from ``start`` on, each by its own time."""
         for begin in self._beginnings(start):
-            following = start
+            following, last = start, None
             with opened_video(self.path) as (container, stream):
                 if begin is not None and not _seek(container, stream, begin):
                     continue
-                for position, frame in enumerate(_decoded(self.path, container, stream)):
-                    index = position if self.times is None else self._index_of(frame, following)
-                    if index > following and begin is not None and following == start:
-                        break  # what was sought lies further on
-                    if index > following:
-                        raise _missing(self.path, following)
+                for index, frame, damage in self._numbered(container, stream, start):
+                    while last is not None and following < index and following in self.dropped:
+                        yield last
+                        following += 1
+                    if index > following or (index == following and damage is not None):
+                        if begin is not None and following == start:
+                            break  # what was sought lies further on, or needs what lies before
+                        raise damage if index == following and damage is not None else _missing(self.path, following)
                     if index == following:
                         yield frame
                         following += 1
+                    last = frame if damage is None else None
             if following > start:
                 return
+
+    def _numbered(
+        self, container: InputContainer, stream: VideoStream, start: int
+    ) -> Iterator[tuple[int, VideoFrame, RigError | None]]:
+        """Decoded frames with their numbers, -1 before the first, and damage in each or in what it is predicted from.
+
+        ``start``: the number of the frame that is looked for.
+        """
+        damage, before = None, -1
+        for position, frame in enumerate(_decoded(self.path, container, stream, passes_errors=self.times is not None)):
+            index = position if self.times is None else self._index_of(frame, max(start, before + 1))
+            lacks = before >= 0 and not self.dropped.issuperset(range(before + 1, index))
+            if frame.is_corrupt or lacks:
+                damage = _damaged(self.path, index)
+            elif frame.key_frame:
+                damage = None
+            before = index
+            yield index, frame, damage
 
     def _beginnings(self, start: int) -> list[int | None]:
         """Times of keyframes to decode from, the nearest first, and None for the video's beginning.
@@ -146,11 +181,23 @@ class VideoSource:
 
     def picture(self, frame: VideoFrame, index: int) -> NDArray[np.uint8]:
         """A decoded frame as it is shown. Raises RigError for one that is interlaced, damaged or of another size."""
-        _check_frame(self.path, frame, index, (self.width, self.height) if self.turn[0] else (self.height, self.width))
+        left, top, right, bottom = self.edges
+        width, height = (self.width, self.height) if self.turn[0] else (self.height, self.width)
+        _check_kind(self.path, frame, index, (left + width + right, top + height + bottom))
+        if frame.is_corrupt:
+            raise _damaged(self.path, index)
         try:
-            return _turned(to_rgb(frame, self.siting), self.turn)
+            whole = to_rgb(frame, self.siting)
+            return _turned(whole[top : top + height, left : left + width], self.turn)
         except (ValueError, av.FFmpegError) as error:
             raise RigError(f"{self.path}: colours coded as {error} are not read; convert it to BT.709") from None
+
+    def whole(self) -> VideoSource:
+        """The same frames with their edges."""
+        across, down = self.edges[0] + self.edges[2], self.edges[1] + self.edges[3]
+        if not self.turn[0]:
+            across, down = down, across
+        return replace(self, width=self.width + across, height=self.height + down, edges=NO_EDGES)
 
 
 @dataclass(frozen=True)
@@ -159,7 +206,7 @@ class _Listing:
     keyframes, in the track's own ``unit`` of seconds, the number of its packets, and frames per second.
 
     ``in_coded_order``: the times are those of decoding, as AVI and most of MXF have no others, and frames may be shown
-    in another order.
+    in another order. ``dropped``: the times of frames that have no picture of their own.
     """
 
     times: NDArray[np.int64] | None
@@ -168,6 +215,7 @@ class _Listing:
     unit: float
     stated_fps: float
     in_coded_order: bool = False
+    dropped: frozenset[int] = frozenset()
 
 
 def open_video(path: Path) -> VideoSource:
@@ -194,21 +242,27 @@ def open_video(path: Path) -> VideoSource:
         if times is not None:
             _check_constant_rate(path, times * (1000 * listing.unit))
         fps = _rate(listing.stated_fps, None if times is None else times * listing.unit)
+        keyframes = listing.keyframes
         if times is None or listing.in_coded_order:
-            times, count = None, _count(path, first)
+            times = None
+            count, keyframes = _count(path, first)
         else:
             count = times.size
-            _look_through(path, container, stream, times, listing.keyframes, first)
-        video = replace(shown_as(path, first), frame_count=count, fps=fps, times=times, keyframes=listing.keyframes)
+            _look_through(path, container, stream, times, keyframes, first)
+        shown = shown_as(path, first, stream.index)
+        at = [] if times is None else np.searchsorted(times, sorted(listing.dropped)).tolist()
+        video = replace(shown, frame_count=count, fps=fps, times=times, keyframes=keyframes, dropped=frozenset(at))
         video.picture(first, 0)
     return replace(video, warnings=(_warning(colours),) if colours else ())
 
 
-def shown_as(path: Path, first: VideoFrame) -> VideoSource:
-    """How a video's frames are shown, by its first one: size, turn, siting; its frames are not known."""
-    turn = _turn(path, first)
-    width, height = (first.width, first.height) if turn[0] else (first.height, first.width)
-    return VideoSource(path, width, height, 0, None, siting=chroma_siting(first), turn=turn)
+def shown_as(path: Path, first: VideoFrame, track: int = 0) -> VideoSource:
+    """How a video's frames are shown, by its first one: size, turn, edges, siting; its frames are not known."""
+    turn, edges = _turn(path, first), edges_of_track(path, track, (first.width, first.height))
+    width, height = first.width - edges[0] - edges[2], first.height - edges[1] - edges[3]
+    if not turn[0]:
+        width, height = height, width
+    return VideoSource(path, width, height, 0, None, siting=chroma_siting(first), edges=edges, turn=turn)
 
 
 def _warning(colours: str) -> str:
@@ -279,27 +333,42 @@ def _list_packets(path: Path) -> _Listing:
     with opened_video(path) as (container, stream):
         try:
             found = []
+            is_cut = False
             for packet in container.demux(stream):
-                if packet.is_corrupt:
-                    raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
                 if packet.size and not packet.is_discard:
                     found.append((packet.pts, packet.dts, packet.is_keyframe))
+                    is_cut = packet.is_corrupt
                 if len(found) > most:
                     raise RigError(f"{path}: the video claims more than {most} frames; re-encode the video")
         except av.FFmpegError as error:
             raise _undecodable(path, "its packets", error) from None
-        # Without times of presentation FFmpeg fills in those of decoding, in AVI a little later ones.
-        guessed = container.format.name == "avi" or all(shown == decoded for shown, decoded, _ in found)
-        reorders = stream.codec_context.has_b_frames
+        if is_cut:
+            raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
+        reorders, is_avi = stream.codec_context.has_b_frames, container.format.name == "avi"
         unit, stated = float(stream.time_base or 0), float(stream.average_rate or stream.guessed_rate or 0)
     if any(time is None for time, _, _ in found):
         return _Listing(None, np.zeros(0, np.int64), len(found), unit, stated)
-    coded = np.array([time for time, _, _ in found], np.int64)
-    times = np.sort(coded)
+    # Without times of presentation FFmpeg fills in those of decoding; in AVI a little later ones, and wrong ones where
+    # a chunk holds two frames and another one none (XviD's packed bitstream).
+    in_coded_order = reorders and (is_avi or all(shown == decoded for shown, decoded, _ in found))
+    times = np.sort(np.array([time for time, _, _ in found], np.int64))
     keyframes = np.sort(np.array([time for time, _, is_key in found if is_key], np.int64))
     usable = times.size == 1 or bool(times.size and np.diff(times).min() > 0)
-    in_coded_order = guessed and reorders and bool((coded == times).all())
-    return _Listing(times if usable else None, keyframes, len(found), unit, stated, in_coded_order)
+    dropped = _dropped(times) if usable and is_avi and not in_coded_order else frozenset()
+    times = np.sort(np.append(times, np.array(sorted(dropped), np.int64)))
+    return _Listing(times if usable else None, keyframes, len(found), unit, stated, in_coded_order, dropped)
+
+
+def _dropped(times: NDArray[np.int64]) -> frozenset[int]:
+    """The times of frames that the recorder of an AVI dropped: it has an empty chunk for each, and a constant rate.
+
+    None where the ``times`` lie at other distances, or few of the frames are there.
+    """
+    lasting = np.diff(times)
+    usual = int(np.median(lasting)) if lasting.size else 0
+    if not usual or (lasting % usual).any() or lasting.sum() >= 2 * usual * times.size:
+        return frozenset()
+    return frozenset(np.setdiff1d(np.arange(times[0], times[-1], usual), times).tolist())
 
 
 def _look_through(
@@ -310,43 +379,54 @@ def _look_through(
     keyframes: NDArray[np.int64],
     first: VideoFrame,
 ) -> None:
-    """Decodes a frame at some keyframes, and all from the last keyframe on where those are few."""
+    """Decodes a frame at some keyframes, and all from the last keyframe on where those are few.
+
+    Damage to single frames is left to whoever reads them.
+    """
     shown = keyframes[keyframes >= times[0]]
     if not shown.size:
         return
     for begin in shown[:: max(1, shown.size // _KEYFRAMES_SEEN)].tolist():
         if not _seek(container, stream, begin):
             return
-        frame = next(_decoded(path, container, stream), None)
+        frame = next(_decoded(path, container, stream, passes_errors=True), None)
         if frame is not None and frame.pts is not None:
-            _check_frame(path, frame, int(np.searchsorted(times, frame.pts)), (first.width, first.height))
+            _check_kind(path, frame, int(np.searchsorted(times, frame.pts)), (first.width, first.height))
     last = int(shown[-1])
     if (times >= last).sum() * stream.width * stream.height > _PIXELS_SEEN or not _seek(container, stream, last):
         return
     index = None
-    for frame in _decoded(path, container, stream):
+    for frame in _decoded(path, container, stream, passes_errors=True):
         if frame.pts is None or frame.pts < last:
             continue
-        # Pictures that need what lies before the keyframe may not be shown after a seek.
-        index = int(np.searchsorted(times, frame.pts)) if index is None else index + 1
-        _check_frame(path, frame, index, (first.width, first.height))
-    if index is not None and index + 1 < times.size:
+        index = int(np.searchsorted(times, frame.pts))
+        _check_kind(path, frame, index, (first.width, first.height))
+    # A last frame that alone is damaged is left to whoever reads it, too.
+    if index is not None and index + 2 < times.size:
         raise _ended(path, index + 1, times.size)
 
 
-def _count(path: Path, first: VideoFrame) -> int:
-    """Frames of a video whose times do not tell them apart."""
-    count = 0
+def _count(path: Path, first: VideoFrame) -> tuple[int, NDArray[np.int64]]:
+    """Frames of a video whose times do not tell them apart, and the numbers of those that decoding can begin with."""
+    count, keyframes = 0, []
     with opened_video(path) as (container, stream):
         for frame in _decoded(path, container, stream):
-            _check_frame(path, frame, count, (first.width, first.height))
+            _check_kind(path, frame, count, (first.width, first.height))
+            if frame.key_frame and not frame.is_corrupt:
+                keyframes.append(count)
             count += 1
-    return count
+    return count, np.array(keyframes, np.int64)
 
 
-def _decoded(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
+def _decoded(
+    path: Path, container: InputContainer, stream: VideoStream, *, passes_errors: bool = False
+) -> Iterator[VideoFrame]:
+    """The frames as they are shown; ``passes_errors``: without those that cannot be decoded."""
+    passed = [av.InvalidDataError] if passes_errors else []
     try:
-        yield from container.decode(stream)
+        for packet in container.demux(stream):
+            with suppress(*passed):
+                yield from packet.decode()
     except av.FFmpegError as error:
         raise _undecodable(path, f"a frame of it ({stream.codec_context.name})", error) from None
 
@@ -360,15 +440,13 @@ def _seek(container: InputContainer, stream: VideoStream, time: int) -> bool:
     return True
 
 
-def _check_frame(path: Path, frame: VideoFrame, index: int, size: tuple[int, int]) -> None:
-    """Raises RigError for a frame that is interlaced, damaged, or not of this width and height, as coded."""
+def _check_kind(path: Path, frame: VideoFrame, index: int, size: tuple[int, int]) -> None:
+    """Raises RigError for a frame that is interlaced, or not of this width and height, as coded."""
     if frame.interlaced_frame:
         raise RigError(
             f"{path}: frame {index} is flagged interlaced; deinterlace the video (ffmpeg -vf bwdif), or, where its "
             "pictures are whole, take the flag away (ffmpeg -vf setfield=prog)"
         )
-    if frame.is_corrupt:
-        raise RigError(f"{path}: frame {index} is damaged; re-encode the video")
     if (frame.width, frame.height) != size:
         raise RigError(
             f"{path}: frame {index} is {frame.width} x {frame.height} pixels, the video started with {size[0]} x "
@@ -422,6 +500,10 @@ def _ended(path: Path, index: int, announced: int) -> RigError:
         f"{path}: the video ends or is damaged at frame {index} although it announces {announced} frames; re-encode "
         f"it, or stop before frame {index}"
     )
+
+
+def _damaged(path: Path, index: int) -> RigError:
+    return RigError(f"{path}: frame {index} is damaged; re-encode the video")
 
 
 def _missing(path: Path, index: int) -> RigError:

@@ -1,10 +1,14 @@
 // Builds the player's page: `node build.mjs [FOLDER]`. Without a folder it writes where the wheel takes it from.
 // `node build.mjs --package` builds what the package @decogs/player holds, in `dist`, for bundlers to take apart.
 import { execFileSync } from "node:child_process";
-import { cpSync, mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
+import { cpSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
-import { build, transform } from "esbuild";
+
+const { build, transform } = await import("esbuild").catch(() => {
+  console.error("build.mjs: the player's packages are missing; in player/, run npm ci");
+  process.exit(2);
+});
 
 const here = dirname(fileURLToPath(import.meta.url));
 const forPackage = process.argv[2] === "--package";
@@ -12,26 +16,43 @@ const folder = forPackage ? join(here, "dist") : (process.argv[2] ?? join(here, 
 
 // Each is a bundle of its own, so that none waits for another: the page loads the player, which starts the worker beside it.
 const bundles = {
-  "decogs-player": "element/index",
-  "decogs-worker": "worker/index",
+  "decogs-player": "element/index.ts",
+  "decogs-worker": "worker/index.ts",
   // What the sources import() comes when it is needed: controls behind the first picture, the others when they are asked for.
-  "decogs-controls": "controls/index",
-  "decogs-recorded": "draw/recorded_pass",
-  "decogs-xr": "xr/show",
-  "decogs-crop": "controls/crop",
-  "decogs-sound": "sound/index",
-  // A worker of several files, or WebAssembly beside it, is more than bundlers can be trusted with.
-  ...(forPackage ? { "decogs-decoder": "decoder", "decogs-three": "engine/three", "decogs-playcanvas": "engine/playcanvas" } : { "decogs-exact": "worker/exact_pictures", "decogs-ply": "export/ply" }),
+  "decogs-controls": "controls/index.ts",
+  "decogs-recorded": "draw/recorded_pass.ts",
+  "decogs-xr": "xr/show.ts",
+  "decogs-crop": "controls/crop.ts",
+  "decogs-sound": "sound/index.ts",
+  ...(forPackage
+    ? { "decogs-decoder": "decoder.ts", "decogs-three": "engine/three.ts", "decogs-playcanvas": "engine/playcanvas.ts", "decogs-exact": "exact/exact.wasm" }
+    : { "decogs-exact": "worker/exact_pictures.ts", "decogs-ply": "export/ply.ts" }),
 };
 
+// Bundlers carry what is imported, and nothing else alike: so the package's scripts import the worker as a text that is one
+// whole script, and WebAssembly as scripts that hold it. In the page both are files.
 const late = {
   name: "late",
   setup({ onResolve }) {
-    onResolve({ filter: /^\./ }, ({ path, kind, resolveDir }) => {
-      if (kind !== "dynamic-import") return null;
-      const found = Object.entries(bundles).find(([, source]) => join(here, "src", source) === join(resolveDir, path));
-      if (forPackage && !found) return null;
-      return found ? { path: `./${found[0]}.js`, external: true } : { errors: [{ text: `${path} is no bundle of build.mjs` }] };
+    if (forPackage) onResolve({ filter: /\/worker_script$/ }, () => ({ path: "./decogs-worker.js", external: true }));
+    onResolve({ filter: /^\./ }, ({ path, kind, importer, resolveDir }) => {
+      if (kind !== "dynamic-import" || (forPackage && importer.startsWith(join(here, "src/worker")))) return null;
+      const source = join(resolveDir, path);
+      const found = Object.entries(bundles).find(([, file]) => [source, `${source}.ts`].includes(join(here, "src", file)));
+      if (found) return { path: `./${found[0]}.js`, external: true };
+      return path.endsWith(".wasm") ? null : { errors: [{ text: `${path} is no bundle of build.mjs` }] };
+    });
+  },
+};
+
+// zstd's WebAssembly, which its package holds as a text.
+const zstd = {
+  name: "zstd",
+  setup({ onResolve, onLoad }) {
+    onResolve({ filter: /\/zstd\.wasm$/ }, () => ({ path: "zstd.wasm", namespace: "zstd" }));
+    onLoad({ filter: /.*/, namespace: "zstd" }, () => {
+      const [, text] = /const wasm = "([A-Za-z0-9+/=]+)"/.exec(readFileSync(join(here, "node_modules/zstddec/dist/zstddec.mjs"), "utf8"));
+      return { contents: Buffer.from(text, "base64"), loader: forPackage ? "binary" : "file" };
     });
   },
 };
@@ -51,33 +72,38 @@ const texts = {
   },
 };
 
+if (forPackage) rmSync(folder, { recursive: true, force: true }); // all that lies there is packed
 mkdirSync(folder, { recursive: true });
-await build({
-  entryPoints: Object.fromEntries(Object.entries(bundles).map(([name, source]) => [name, join(here, "src", `${source}.ts`)])),
-  outdir: folder,
+const entry = (source) => join(here, "src", source);
+const options = {
   bundle: true,
-  plugins: [late, texts],
+  plugins: [late, texts, zstd],
   external: ["three", "playcanvas"],
-  // WebAssembly lies in files of its own, compiled while they come; the package carries its own as base64, half of all the
-  // script there was.
   loader: { ".wasm": forPackage ? "binary" : "file" },
   assetNames: "decogs-[name]",
-  alias: forPackage ? {} : { zstddec: join(here, "src/entropy/zstd_apart.ts") },
+  alias: { zstddec: entry("entropy/zstd_apart.ts") },
   format: "esm",
   target: "es2022",
   minify: true,
   legalComments: "inline",
   charset: "utf8",
-});
+  // Nothing of the package is asked for beside its scripts, which bundlers move.
+  define: forPackage ? { "import.meta.url": '""' } : {},
+};
+if (forPackage) {
+  const { "decogs-worker": worker } = bundles;
+  delete bundles["decogs-worker"];
+  // No module, which browsers take from no text in a sandboxed frame.
+  const built = await build({ ...options, entryPoints: [entry(worker)], format: "iife", write: false });
+  writeFileSync(join(folder, "decogs-worker.js"), `export const address = null;\nexport const text = ${JSON.stringify(built.outputFiles[0].text)};\n`);
+}
+await build({ ...options, entryPoints: Object.fromEntries(Object.entries(bundles).map(([name, source]) => [name, entry(source)])), outdir: folder });
 const statics = join(here, "static");
 if (forPackage) {
-  cpSync(join(here, "../decoder/viewing/page/decogs-exact.wasm"), join(folder, "decogs-exact.wasm"));
   cpSync(join(statics, "licences.txt"), join(folder, "licences.txt"));
   cpSync(join(here, "../LICENSE"), join(here, "LICENSE"));
   writeTypes(join(folder, "types"));
 } else {
-  const [, zstd] = /const wasm = "([A-Za-z0-9+/=]+)"/.exec(readFileSync(join(here, "node_modules/zstddec/dist/zstddec.mjs"), "utf8"));
-  writeFileSync(join(folder, "decogs-zstd.wasm"), Buffer.from(zstd, "base64"));
   for (const name of readdirSync(statics)) cpSync(join(statics, name), join(folder, name));
 }
 

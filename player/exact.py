@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-BUILT = ROOT / "decoder" / "viewing" / "page" / "decogs-exact.wasm"
+BUILT = ROOT / "player" / "src" / "exact" / "exact.wasm"
 SOURCE = ROOT / "player" / "src" / "exact" / "exact.cpp"
 HEADERS = ROOT / "decoder" / "rasterise" / "kernel"
 STATED = SOURCE.with_name("sources.sha256")

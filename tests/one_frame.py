@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import FrameSettings
 from decogs.encoder.training.method import FrameInput, FrameTrainer, TrainedFrame, TrainingContext
+from decogs.formats.cameras import Camera
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
 
@@ -82,6 +84,18 @@ class Case:
     scene: Splats
     selected: np.ndarray
     pictures: list[np.ndarray]
+    unit: float = 1.0
+
+    def in_units(self, unit: float) -> Case:
+        """The same in a world whose numbers are ``unit`` times as large."""
+        scene = replace(
+            self.scene,
+            means=self.scene.means * np.float32(unit),
+            log_scales=self.scene.log_scales + np.float32(np.log(unit)),
+        )
+        views = [replace(view, pinhole=_in_units(view.pinhole, unit)) for view in self.ingest.views]
+        ingest: Any = SimpleNamespace(views=views)
+        return replace(self, ingest=ingest, scene=scene, unit=unit)
 
     def masks(self, *, everywhere: bool) -> list[FrameMask]:
         mask = np.full(self.pictures[0].shape[1:], everywhere)
@@ -100,7 +114,8 @@ class Case:
     ) -> Trainer:
         kernel = CpuKernel(threads)
         views, watch = self.ingest.views, self.static_views(kernel)
-        return sparse_trainer(kernel, views, watch, settings, new, box=BOX, seed=seed, threads=threads)
+        box, extent = (self.unit * BOX[0], self.unit * BOX[1]), 1.2 * self.unit
+        return sparse_trainer(kernel, views, watch, settings, new, box=box, extent=extent, seed=seed, threads=threads)
 
     def train(
         self,
@@ -121,6 +136,12 @@ class Case:
             "frame": 1,
         }
         return train(trainer, **(given | other))
+
+
+def _in_units(camera: Camera, unit: float) -> Camera:
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] *= unit
+    return replace(camera, world_to_camera=pose)
 
 
 def moved_square(moving_rig: Path, tiny_rig: Any) -> Case:

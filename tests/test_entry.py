@@ -45,6 +45,19 @@ def test_ctrl_c_ends_a_command_in_one_line(moment: str, tmp_path: Path) -> None:
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "decogs-x: interrupted\n")
 
 
+def test_ctrl_c_before_a_command_begins(tmp_path: Path) -> None:
+    """From the moment at which a script has loaded this module; what comes before is Python's own."""
+    program = "import sys; sys.argv[0] = '/bin/decogs-x'; from decogs import entry; import os; os.kill(os.getpid(), 2)"
+    run = subprocess.run(
+        [sys.executable, "-c", f"{program}; import time; time.sleep(60)"],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert (run.returncode, run.stdout, run.stderr) == (130, "", "decogs-x: interrupted\n")
+
+
 def test_what_ignores_ctrl_c_still_does(tmp_path: Path) -> None:
     """As a command behind nohup, or in the background of a script."""
     (tmp_path / "slow.py").write_text(

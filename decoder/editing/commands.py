@@ -59,7 +59,7 @@ def edit_parser() -> Parser:
 
 def _edit(parser: Parser, words: Sequence[str]) -> None:
     from .editing import edit
-    from .recipe import operation_parser, parse_operations, read_recipe, split_arguments
+    from .recipe import operation_parser, parse_operations, split_arguments
 
     if len(words) == 2 and words[0] in OPERATIONS and words[1] in ("-h", "--help"):
         operation_parser(words[0]).parse_args(words[1:])
@@ -70,14 +70,14 @@ def _edit(parser: Parser, words: Sequence[str]) -> None:
     if (options.output is None) != options.dry_run:
         wrong = "`dry_run` writes nothing; leave out `output`" if options.dry_run else "name what to write by `output`"
         raise UsageError(wrong)
-    operations = [] if options.recipe is None else read_recipe(options.recipe)
-    operations += parse_operations(asked)
+    operations = parse_operations(asked)
     output = None if options.output is None else path_or_pipe(options.output, "the stream")
     with progress("editing", quiet=options.quiet) as on_frame:
         report = edit(
             whole_file(options.stream),
             output,
             operations,
+            recipe=options.recipe,
             max_memory=options.max_memory,
             on_frame=on_frame,
             on_warning=warn_as(parser),

@@ -14,12 +14,16 @@ from typing import Any, BinaryIO
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.outputs import GrowingFile, Output, check_outputs, errors_named, is_device
+from decogs.formats.outputs import PNG, STREAM, GrowingFile, Output, check_outputs, errors_named, is_device
 
 from ..limits import DEFAULT_MAX_MEMORY
 from .operations.base import Operation
+from .recipe import read_recipe
 from .take import Frame, Take, open_take
 from .writing import FrameWriter
+
+MAX_OPERATIONS = 100
+"""Of one edit: each of them reads frames through all those before it."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,14 @@ def edit(
     output: str | os.PathLike[str] | BinaryIO | None,
     operations: Sequence[Operation],
     *,
+    recipe: str | os.PathLike[str] | None = None,
     max_memory: int = DEFAULT_MAX_MEMORY,
     on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> EditReport:
     """Writes the stream with ``operations`` done to it, one after the other; nothing is trained.
+
+    ``recipe``: a file of operations that come before those.
 
     Scenes that no operation changes keep their bits, rows that none changes theirs; sound goes with its frames. Packets
     pass one by one: memory does not grow with the take. METRICS and private packets are left out, since they tell of
@@ -55,8 +62,11 @@ def edit(
 
     Raises UsageError, StreamError or OSError; nothing is then left under the output's name.
     """
+    operations = [*([] if recipe is None else read_recipe(recipe)), *operations]
     if not operations:
         raise UsageError("no operation is given; decogs-edit --help lists them")
+    if len(operations) > MAX_OPERATIONS:
+        raise UsageError(f"{len(operations)} operations are too many; give up to {MAX_OPERATIONS} at once")
     target = Path(output) if isinstance(output, (str, os.PathLike)) else output
     with ExitStack() as opened:
         numbers = count()
@@ -67,12 +77,15 @@ def edit(
         shown = _Shown(on_frame)
         take = open_other(stream).each(shown.read)
         for operation in operations:
+            operation.check_numbers()
             take = operation.edit(take, open_other)
             _check_header(operation, take)
-        _check_files(target, operations, take)
+        _check_files(target, operations, [*take.sources, *([] if recipe is None else [Path(recipe)])])
         with _opened(target) as (file, publish):
             writer, frames = _written(take, file, shown)
             publish()
+        if frames.is_empty and on_warning is not None:
+            on_warning("no Gaussian is left in any frame; the stream shows its background alone")
         return EditReport(frames.frames, frames.kept, writer.bytes_written, tuple(note() for note in take.notes))
 
 
@@ -116,11 +129,11 @@ def _check_header(operation: Operation, take: Take) -> None:
         raise UsageError(f"{operation.name}: {error}") from None
 
 
-def _check_files(target: Path | BinaryIO | None, operations: Sequence[Operation], take: Take) -> None:
-    outputs = [Output(operation.name, file) for operation in operations for file in operation.outputs]
+def _check_files(target: Path | BinaryIO | None, operations: Sequence[Operation], read: Sequence[Path]) -> None:
+    outputs = [Output(operation.name, file, format=PNG) for operation in operations for file in operation.outputs]
     if target is not None:
-        outputs.insert(0, Output("output", target, grows=True))
-    check_outputs(outputs, [(path, "is read, and an edit never replaces what it reads") for path in take.sources])
+        outputs.insert(0, Output("output", target, grows=True, format=STREAM))
+    check_outputs(outputs, [(path, "is read, and an edit never replaces what it reads") for path in read])
 
 
 @contextmanager

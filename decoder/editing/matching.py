@@ -15,6 +15,7 @@ from decogs.codec.sound import SoundTrack
 from decogs.codec.state import ARRAYS, Attributes, State, all_rows
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError, UsageError
+from decogs.formats.frame_rates import is_same_rate
 from decogs.formats.similarity import NO_CHANGE, Similarity, transformed_camera, transformed_splats
 from decogs.formats.splats import Splats
 
@@ -44,9 +45,9 @@ def matched(operation: str, first: Take, second: Take) -> Matched:
         raise UsageError(
             f"{operation}: one is a subject without a background, the other a whole scene; they do not go together"
         )
-    if None not in (one.fps, other.fps) and one.fps != other.fps:
+    if one.fps is not None and other.fps is not None and not is_same_rate(one.fps, other.fps):
         raise UsageError(
-            f"{operation}: one has {one.fps:g} frames a second, the other {other.fps:g}; `retime` one first"
+            f"{operation}: one has {one.fps:.7g} frames a second, the other {other.fps:.7g}; `retime` one first"
         )
     degree = max(one.sh_degree, other.sh_degree)
     place = NO_CHANGE

@@ -34,6 +34,8 @@ class Names:
         ``is_changed``: no packet that was read leads to this scene. A first keyframe is then put in Morton order, which
         is smaller and which it may have lost; no packet behind it could stay anyway.
         """
+        if not is_key and state.ids is self._known[0]:
+            return self._known[1]  # nobody came or went
         known = _joined(self._known, self._first) if is_key else self._known
         ids = _looked_up(known, state.ids)
         new = np.flatnonzero(ids < 0)

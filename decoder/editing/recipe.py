@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import shlex
 from collections.abc import Sequence
@@ -29,11 +30,16 @@ class _OptionParser(Parser):
         self._negative_number_matcher = re.compile(r"-[0-9.].*")
         operation.add_options(self)
 
+    def takes_value(self, word: str) -> bool:
+        """Whether the next word is the value of this one, an option or the beginning of its name."""
+        named = [action for action in self._actions if any(each.startswith(word) for each in action.option_strings)]
+        return word.startswith("--") and len(named) == 1 and named[0].nargs != 0
+
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{self._name}: {message} (decogs-edit {self._name} --help)")
 
 
-def operation_parser(name: str) -> Parser:
+def operation_parser(name: str) -> _OptionParser:
     """The options behind an operation's name."""
     return _OptionParser(OPERATIONS[name])
 
@@ -48,13 +54,19 @@ def parse_operation(words: Sequence[str]) -> Operation:
 
 def parse_operations(words: Sequence[str]) -> list[Operation]:
     """The operations in a list of words, each from its name up to the next one's. Raises UsageError."""
-    begins = [place for place, word in enumerate(words) if word in OPERATIONS]
-    if words and begins[:1] != [0]:
-        begins.insert(0, 0)  # which says what is wrong with the first word
+    begins = [] if not words or words[0] in OPERATIONS else [0]  # which says what is wrong with the first word
+    is_value = False
+    for place, word in enumerate(words):
+        if word in OPERATIONS and not is_value:
+            begins.append(place)
+            parser = operation_parser(word)
+            is_value = any(not action.option_strings and action.nargs in (None, "+") for action in parser._actions)
+        else:
+            is_value = bool(begins and words[begins[-1]] in OPERATIONS) and parser.takes_value(word)
     return [parse_operation(words[a:b]) for a, b in pairwise([*begins, len(words)])]
 
 
-def read_recipe(path: str | Path) -> list[Operation]:
+def read_recipe(path: str | os.PathLike[str]) -> list[Operation]:
     """The operations that a TOML file lists: ``operations = ["trim 0:48", "set --title 'Take 3'"]``, a line each.
 
     Raises UsageError, which names the file, for anything else.
@@ -68,7 +80,7 @@ def read_recipe(path: str | Path) -> list[Operation]:
     return [_parse_line(line, path) for line in lines]
 
 
-def _parse_line(line: str, path: str | Path) -> Operation:
+def _parse_line(line: str, path: str | os.PathLike[str]) -> Operation:
     try:
         return parse_operation(shlex.split(line))
     except (UsageError, ValueError) as error:  # shlex: a quotation without an end

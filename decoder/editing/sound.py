@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from decogs.codec.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
+from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
 from ..sound.coding import coded
@@ -44,19 +45,22 @@ def from_frame(take: Take, start: int) -> Hear:
 def _beginning(take: Take, start: int, fps: float) -> FrameSound:
     """The packets of frame ``start`` with the blocks before it that are heard in it or make the decoder right."""
     runs: dict[int, list[tuple[int, bytes]]] = {}
-    first, place = max(0, start - frames_before(fps)), frame_start(start, fps)
+    ends: dict[int, int] = {}
+    first, place, stop = max(0, start - frames_before(fps)), frame_start(start, fps), frame_start(start + 1, fps)
     for frame, packets in enumerate(take.hear(first, start + 1), start=first):
         for packet in packets:
             at = frame_start(frame, fps) + packet.offset
             run = runs.setdefault(packet.track, [])
-            if run and abs(run[-1][0] + BLOCK - at) > CONTINUES:
+            if abs(ends.get(packet.track, at) - at) > CONTINUES:
                 run.clear()
-            run += [(at + number * BLOCK, block) for number, block in enumerate(packet.blocks)]
+            places = [at + number * BLOCK for number in range(len(packet.blocks))]
+            coming = zip(places, packet.blocks, strict=True)
+            run += [(at, block) for at, block in coming if place - PRE_ROLL - BLOCK < at < stop]
+            ends[packet.track] = places[-1] + BLOCK
     found = []
     for track, run in runs.items():
-        own = [(at, block) for at, block in run if at + BLOCK > place - PRE_ROLL]
-        if own and own[-1][0] + BLOCK > place:
-            found.append(SoundPacket(track, own[0][0] - place, tuple(block for _, block in own)))
+        if run and run[-1][0] + BLOCK > place:
+            found.append(SoundPacket(track, run[0][0] - place, tuple(block for _, block in run)))
     return tuple(found)
 
 
@@ -91,8 +95,12 @@ def with_file(take: Take, path: Path, channels: int, begin: float, fps: float) -
     """The take's sound and, as one more track, that of a file from ``begin`` seconds on."""
     from decogs.formats.soundtracks import read_samples
 
+    samples = read_samples(path, channels, begin=begin)
+    first = next(samples, None)
+    if first is None or begin < -take.frame_count / fps:
+        raise UsageError(f"{path}: nothing of it is heard when it begins at second {begin:g}; choose another one")
     number = len(take.header.sound)
-    added = remembered(coded(read_samples(path, channels, begin=begin), channels, fps, track=number))
+    added = remembered(coded(chain([first], samples), channels, fps, track=number))
 
     def hear(start: int, stop: int) -> Iterator[FrameSound]:
         return (old + new for old, new in zip(take.hear(start, stop), added(start, stop), strict=True))

@@ -116,6 +116,8 @@ class Take:
         return replace(self, read=lambda start, stop: map(edit, self.read(start, stop)))
 
 
+_NAMED = 20
+
 _OF_THE_ENCODE = ("part", "recorded")
 """Settings from which an encode would go on (``encoder.parts``, ``encoder.input.recordings``), which no edit is."""
 
@@ -129,6 +131,8 @@ def open_take(
     Raises StreamError, OSError, and UsageError for a stream without a frame.
     """
     with open_chosen(path, None, strict=False, max_memory=max_memory, on_warning=on_warning) as (stream, every):
+        if on_warning is not None and (lost := stream.not_known()):
+            on_warning(f"{path}: holds what this version does not know, which is left out: {', '.join(lost[:_NAMED])}")
         settings = {name: value for name, value in stream.stored_header.settings.items() if name not in _OF_THE_ENCODE}
         source = _Source(stream, number * OWN_IDS)
         header = replace(stream.stored_header, settings=settings)

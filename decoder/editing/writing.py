@@ -30,6 +30,7 @@ class FrameWriter:
     """Writes frames as packets of a stream with this header, which ``sink`` has already.
 
     ``frames`` counts them, ``kept`` those whose packet was taken as it was read, but for its digest and ids.
+    ``is_empty``: whether no frame has any Gaussian.
     """
 
     def __init__(self, header: StreamHeader, sink: PacketSink) -> None:
@@ -40,6 +41,7 @@ class FrameWriter:
         self._shows: State | None = None  # a source's state whose rows are those of _state, one by one
         self._first_shows: State | None = None
         self.frames = self.kept = 0
+        self.is_empty = True
 
     def write(self, frame: Frame) -> None:
         """Appends a frame; the first one is a keyframe whatever it was. Raises StreamError for what no packet holds."""
@@ -64,6 +66,7 @@ class FrameWriter:
         if self._first is None:
             self._first, self._first_shows = self._state, self._shows
         self.frames += 1
+        self.is_empty = self.is_empty and not len(after)
 
     def _as_it_was(self, frame: Frame, after: State, is_key: bool) -> bytes | None:
         """The body of the frame's own packet, with other ids if need be; None where it would say something else."""

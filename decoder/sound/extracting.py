@@ -13,9 +13,9 @@ from decogs.codec.sound import RATE, frame_start
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
-from decogs.formats.outputs import Output, check_outputs, errors_named, staged_files
+from decogs.formats.outputs import Output, check_outputs, errors_named, files_read, staged_files
 
-from ..frame_choice import files_read, open_chosen
+from ..frame_choice import open_chosen
 from ..limits import DEFAULT_MAX_MEMORY
 from .samples import heard_in
 

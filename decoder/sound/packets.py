@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from decogs.codec.sound import SoundPacket, SoundTrack, read_sound
+from decogs.codec.sound import MAX_PACKETS, SoundPacket, SoundTrack, read_sound
 from decogs.formats.container import FRAME_KINDS, PacketKind, PacketReader
 from decogs.formats.errors import StreamError
 
@@ -22,19 +22,22 @@ def sound_behind(
     """The sound of ``frame`` that ``reader``, which stands behind its packet, comes to before the offset ``end``.
 
     ``end``: where the next frame's packet lies, None behind the last. ``pass_over`` is called with what is wrong with a
-    packet; its sound is not there then.
+    packet; its sound is not there then. A frame's packets beyond `MAX_PACKETS` are not looked at.
     """
-    found = []
+    found: list[SoundPacket] = []
+    looked_at = 0
     try:
-        while end is None or reader.offset < end:
+        while looked_at < MAX_PACKETS and (end is None or reader.offset < end):
             packet = reader.next()
             if packet is None or packet.kind in FRAME_KINDS:
                 break
             if packet.kind == PacketKind.SOUND and packet.frame == frame:
+                looked_at += 1
                 try:
                     found.append(read_sound(packet, tracks))
                 except StreamError as error:
                     pass_over(error)
     except StreamError as error:
+        error.sound_of = frame
         pass_over(error)
     return tuple(found)

@@ -52,8 +52,8 @@ def heard(
     voices = [_Voice(track.channels) for track in tracks]
     for frame, packets in enumerate(sounds, start=first):
         begin, end = frame_start(frame, fps), frame_start(frame + 1, fps)
-        for packet in packets:
-            voices[packet.track].take(packet, begin, end)
+        for number, voice in enumerate(voices):
+            voice.take([packet for packet in packets if packet.track == number], begin, end)
         yield [voice.between(begin, end) for voice in voices]
 
 
@@ -70,25 +70,35 @@ class _Voice:
     def __init__(self, channels: int) -> None:
         self._channels = channels
         self._decoder: OpusDecoder | None = None
-        self._at = 0
+        self._at: int | None = None
         self._tail = np.zeros((channels, 0), np.float32)
 
-    def take(self, packet: SoundPacket, begin: int, end: int) -> None:
-        """Decodes a packet of the frame with these samples."""
+    def take(self, packets: Sequence[SoundPacket], begin: int, end: int) -> None:
+        """Decodes the packets of the frame with these samples: of several runs that begin in it only the last is heard.
+
+        Blocks that no sample of the frame depends on are passed over, however many there are.
+        """
         from decogs.formats.opus import OpusDecoder
 
-        at = begin + packet.offset
-        if self._decoder is None or abs(at - self._at) > CONTINUES:
-            self._decoder, self._at = OpusDecoder(self._channels), at
-            self._tail = self._tail[:, :0]
-        for block in packet.blocks:
-            if self._at >= end:
-                break
+        blocks: list[tuple[int, bytes]] = []
+        for packet in packets:
+            at = begin + packet.offset
+            if self._at is None or abs(at - self._at) > CONTINUES:
+                self._decoder, self._at, blocks = None, at, []
+                self._tail = self._tail[:, :0]
+            for block in packet.blocks:
+                if self._at >= end:
+                    break
+                if self._at + BLOCK > begin - PRE_ROLL:
+                    blocks.append((self._at, block))
+                self._at += BLOCK
+        for at, block in blocks:
+            if self._decoder is None:
+                self._decoder = OpusDecoder(self._channels)
             samples = self._decoder.decode(block)
-            passed = max(0, begin - self._at)
+            passed = max(0, begin - at)
             if passed < BLOCK:
-                self._put(samples[:, passed:], self._at + passed - begin)
-            self._at += BLOCK
+                self._put(samples[:, passed:], at + passed - begin)
 
     def _put(self, samples: FloatArray, place: int) -> None:
         """Samples that are heard from ``place`` on, counted from the frame's start."""

@@ -9,6 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
+from decogs.formats.regular_files import open_regular
+
 from ..following import DEFAULT_IDLE
 from ..limits import DEFAULT_MAX_MEMORY
 
@@ -119,7 +121,7 @@ def check_header(stream: str | os.PathLike[str], *, follow: bool, idle: float = 
     if follow:
         with follow_stream(followed(stream), idle=idle) as growing:
             return growing.header
-    with open(stream, "rb") as file:
+    with open_regular(Path(stream)) as file:
         opened = GrowingStream(
             file, str(stream), idle=None, strict=False, on_damage=None, max_memory=DEFAULT_MAX_MEMORY
         )

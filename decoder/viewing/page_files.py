@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import re
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -17,6 +14,7 @@ INDEX = "index.html"
 POSTER = "poster.jpg"
 
 MEDIA_TYPES = {
+    ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
     ".jpg": "image/jpeg",
     ".js": "text/javascript; charset=utf-8",
@@ -24,6 +22,25 @@ MEDIA_TYPES = {
     ".wasm": "application/wasm",
 }
 OTHER_MEDIA = "application/octet-stream"
+
+POLICY = "; ".join(
+    [
+        "default-src 'none'",
+        "script-src 'self' 'wasm-unsafe-eval'",
+        "style-src 'self'",
+        "connect-src 'self'",
+        "img-src 'self' data:",
+        "worker-src 'self'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "require-trusted-types-for 'script'",
+        "trusted-types decogs-page decogs-player decogs-controls decogs-crop",
+    ]
+)
+"""What the page may do, for its server to say (Content-Security-Policy): nothing beyond what it brings itself.
+
+Texts of a stream are a stranger's. The player shows them as text; if it ever failed to, no script would run.
+"""
 
 _HEAD = "<title>decogs</title>"
 _PLACE = 'data-src="scene.dgs"'
@@ -99,26 +116,3 @@ def _folder_address(url: str) -> str:
 def address_of(name: str) -> str:
     """A file's name as an address beside the page; "./" keeps a colon in it from naming a scheme."""
     return "./" + quote_from_bytes(name.encode("utf-8", "surrogateescape"), safe="")
-
-
-def policy_of(index: PageFile) -> str:
-    """What the page may do, for its server to say (Content-Security-Policy): nothing beyond what it brings itself.
-
-    Texts of a stream are a stranger's. The player shows them as text; if it ever failed to, no script would run.
-    """
-    scripts = re.findall(rb"<script[^>]*>(.*?)</script>", index.data, re.DOTALL)
-    hashes = [base64.b64encode(hashlib.sha256(script).digest()).decode() for script in scripts if script]
-    return "; ".join(
-        [
-            "default-src 'none'",
-            "connect-src 'self'",
-            " ".join(["script-src 'self' 'wasm-unsafe-eval'", *(f"'sha256-{value}'" for value in hashes)]),
-            "style-src 'self' 'unsafe-inline'",
-            "img-src 'self' blob: data:",
-            "worker-src 'self' blob:",
-            "base-uri 'none'",
-            "form-action 'none'",
-            "require-trusted-types-for 'script'",
-            "trusted-types decogs-page decogs-player decogs-controls decogs-crop",
-        ]
-    )

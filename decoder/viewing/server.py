@@ -30,7 +30,7 @@ from decogs.formats.regular_files import open_regular
 
 from ..following import followed, open_growing
 from .byte_ranges import NoSuchBytes, asked_range
-from .page_files import INDEX, OTHER_MEDIA, PageFile, page_files, policy_of
+from .page_files import INDEX, OTHER_MEDIA, POLICY, PageFile, page_files
 from .recorded_pictures import RecordedPictures
 
 HOST = "127.0.0.1"
@@ -122,7 +122,6 @@ class _Server(ThreadingHTTPServer):
     ) -> None:
         self.recordings = recordings
         self.page = {file.name: file for file in page} | {"": page[-1]}
-        self.policy = policy_of(page[-1])
         self.stream_name, self.opened, self.growing = stream_name, opened, growing
         super().__init__((HOST, port), _Handler)
 
@@ -213,7 +212,7 @@ class _Handler(BaseHTTPRequestHandler):
         if packed:
             self.send_header("Content-Encoding", "gzip")
         if file.name == INDEX:
-            self.send_header("Content-Security-Policy", self.server.policy)
+            self.send_header("Content-Security-Policy", POLICY)
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(data)

@@ -10,7 +10,8 @@ from typing import BinaryIO
 from decogs.codec.header import StreamHeader
 from decogs.formats.callbacks import OnProgress
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.outputs import staged_files
+from decogs.formats.outputs import Output, check_folder_name, check_outputs, files_read, staged_files
+from decogs.formats.regular_files import Unchanged, open_regular
 
 from ..picture_output import to_8bit
 from ..stream import open_stream
@@ -47,16 +48,21 @@ def write_site(
     readable stream, OSError when the file cannot be read.
     """
     source, target = Path(stream), Path(folder)
-    check_header(source, follow=False)
-    header, poster = _shown_first(source)
-    title, subject = header.presentation.title, header.subject
-    files = page_files(source.name, title=title, poster=poster, subject=subject, url=url)
-    # One that was written before may have had a poster.
-    _check_folder(target, source, {file.name for file in files} | {source.name, POSTER}, overwrite)
-    with source.open("rb") as opened, staged_files(target) as staging:
-        copied = _copy(opened, staging / source.name, on_megabytes)
-        for file in files:
-            (staging / file.name).write_bytes(file.data)
+    with open_regular(source) as opened:
+        unchanged = Unchanged(opened, source)
+        check_header(source, follow=False)
+        header, poster = _shown_first(source)
+        title, subject = header.presentation.title, header.subject
+        files = page_files(source.name, title=title, poster=poster, subject=subject, url=url)
+        # One that was written before may have had a poster.
+        names = {file.name for file in files} | {source.name, POSTER}
+        check_outputs([Output("output", target / name) for name in names], files_read(stream=source))
+        _check_folder(target, names, overwrite)
+        with staged_files(target) as staging:
+            copied = _copy(opened, staging / source.name, on_megabytes)
+            unchanged.check_name()  # the poster is of the stream that is copied
+            for file in files:
+                (staging / file.name).write_bytes(file.data)
     return SiteReport(target, len(files) + 1, copied + sum(len(file.data) for file in files))
 
 
@@ -79,14 +85,10 @@ def _shown_first(stream: Path) -> tuple[StreamHeader, bytes | None]:
         return header, jpeg(to_8bit(render_view(header, frame.splats, view, background=behind, undistorted=True).image))
 
 
-def _check_folder(folder: Path, source: Path, names: set[str], overwrite: bool) -> None:
+def _check_folder(folder: Path, names: set[str], overwrite: bool) -> None:
+    check_folder_name(folder)
     if not folder.exists():
         return
-    if not folder.is_dir():
-        raise UsageError(f"{folder}: is a file; name a folder to write the page into")
-    copy = folder / source.name
-    if copy.exists() and copy.samefile(source):
-        raise UsageError(f"{copy}: is the stream itself; name another folder")
     there = {path.name for path in folder.iterdir()}
     if there and not overwrite and not (there <= names and _is_ours(folder / INDEX)):
         raise UsageError(f"{folder}: holds files already; name a new folder, or write into it with `overwrite`")

@@ -85,7 +85,7 @@ class EffectChoice:
 def effect_choice(text: str) -> EffectChoice:
     """The choice that a text states: auto, all or none, and names with commas; ``-name`` disables one.
 
-    Names alone are those and no other; names disabled alone are disabled of all. Blanks do not count. Raises UsageError
+    Names alone are those and no other; disabled ones alone are disabled of auto. Blanks do not count. Raises UsageError
     for a text that names nothing, or what there is not, twice, or both ways.
     """
     words = [word.strip() for word in text.split(",") if word.strip()]
@@ -100,7 +100,7 @@ def effect_choice(text: str) -> EffectChoice:
         raise _refused(text, f"{bases[0]} and {bases[1]} exclude each other")
     added = frozenset(word for word in named if not word.startswith("-"))
     dropped = frozenset(word[1:].strip() for word in named if word.startswith("-"))
-    return EffectChoice(bases[0] if bases else NONE if added else ALL, added, dropped)
+    return EffectChoice(bases[0] if bases else NONE if added else AUTO, added, dropped)
 
 
 def _refused(asked: object, problem: str) -> UsageError:

@@ -10,7 +10,16 @@ from pathlib import Path
 from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
-from decogs.formats.outputs import Output, check_outputs, check_writable, is_device, write_whole
+from decogs.formats.outputs import (
+    JSON,
+    Output,
+    check_folder_name,
+    check_outputs,
+    check_writable,
+    is_device,
+    write_whole,
+)
+from decogs.formats.unicode_forms import composed
 
 from ..input.mattes.options import add_matte_options, matte_choice
 from ..synchronisation.commands import add_sync_option, rig_in_step
@@ -34,10 +43,20 @@ def analyze_parser() -> Parser:
     )
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
     parser.add_argument(
-        "--holdout", action="append", default=[], metavar="CAM", help="do not look at a camera (repeatable)"
+        "--holdout",
+        action="append",
+        default=[],
+        type=composed,
+        metavar="CAM",
+        help="do not look at a camera (repeatable)",
     )
     parser.add_argument(
-        "--exclude", action="append", default=[], metavar="CAM", help="the same, as decogs-encode has it (repeatable)"
+        "--exclude",
+        action="append",
+        default=[],
+        type=composed,
+        metavar="CAM",
+        help="the same, as decogs-encode has it (repeatable)",
     )
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
     parser.add_argument(
@@ -58,7 +77,7 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
 
     from ..input.ingest import Ingest, frame_span
     from ..input.matte_checks import check_mattes
-    from ..input.mattes import open_mattes
+    from ..input.mattes import files_of_mattes, open_mattes
     from .analyse import analyse
 
     rig = without_cameras(rig_in_step(options), options.exclude)
@@ -68,15 +87,17 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     mattes = open_mattes(matte_choice(options), rig, span, options.holdout)
     if mattes is not None and mattes.cuts:
         ingest = Ingest(rig, holdout=options.holdout, mattes=mattes)
-        check_mattes(ingest, next(ingest.frames(span.start, span.start + 1)), warn_as(parser))
+        agree = check_mattes(ingest, next(ingest.frames(span.start, span.start + 1)), warn_as(parser))
+        print_text(agree, to_stderr=options.json == "-")
     to_file = options.json is not None and options.json != "-"
     page = None if options.output is None else Path(options.output) / _PAGE
-    outputs = [Output("json", Path(options.json), grows=True)] if to_file else []
+    outputs = [Output("json", Path(options.json), grows=True, format=JSON)] if to_file else []
     outputs += [] if page is None else [Output("output", page, grows=True)]
-    check_outputs(outputs, files_of(rig))
+    check_outputs(outputs, [*files_of(rig), *files_of_mattes(mattes)])
     if to_file and not is_device(Path(options.json)):
         check_writable(Path(options.json))
     if page is not None:
+        check_folder_name(page.parent)
         _make_folder(page.parent)
     with progress("analysing", "step", quiet=options.quiet) as on_step:
         analysis = analyse(

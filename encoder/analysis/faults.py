@@ -9,20 +9,24 @@ from dataclasses import dataclass
 GOOD, USABLE, HARMFUL = "good", "usable", "harmful"
 """What a camera is good for: nothing is wrong; something is, but views are better with it; they are better without."""
 
-DEAD, FROZEN, DROPPED = "dead", "frozen", "dropped"
+DEAD, FROZEN, DROPPED, DAMAGED = "dead", "frozen", "dropped", "damaged"
 SWAPPED, TURNED, MISPLACED = "swapped", "turned", "misplaced"
 LATE = "late"
 """Or early: its frames are not of the others' moments."""
 BLURRED, NOISY, EXPOSURE = "blurred", "noisy", "exposure"
-MOVING = "moving"
+MOVING, NOISE = "moving", "noise"
 
-_HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, BLURRED, MOVING}
+REFUSED = {MOVING, NOISE}
+"""With which an encode is refused."""
+_HARMFUL = {DEAD, FROZEN, SWAPPED, TURNED, MISPLACED, LATE, BLURRED} | REFUSED
 
 BLURRED_BELOW = 0.45
 """Sharpness, over the cameras' median, below which a camera is out of focus: a blur of 2 pixels leaves .15, sharp
 cameras of one rig have .7 and more."""
 _NOISY_TIMES, _NOISY_LEVELS = 3.0, 2.0
 """Noise over the cameras' median, and in levels, from which a camera is noisy."""
+_ONLY_NOISE_LEVELS = 25.0
+"""Noise of pictures that show nothing else, if no other camera's match: white noise has 50 to 74 levels."""
 _LATE_FRAMES = 0.5
 """Frames from which a camera is late or early."""
 EXPOSED_STOPS = 0.8
@@ -33,17 +37,20 @@ kinds, has up to .71, which an encode matches."""
 @dataclass(frozen=True)
 class Findings:
     """What is measured of a camera. ``lost``, ``hung`` and ``dropped``: numbers of its frames that show nothing, that
-    repeat the one before in a row, and that are missing singly.
+    repeat the one before in a row, and that are missing singly; ``unread``: that cannot be read, for this ``damage``.
 
     ``turned``: degrees; ``late``: frames; ``residual``: pixels; NaN where unknown. ``sharpness``: of its details, over
     the cameras' median; ``noise``: levels, ``usual_noise``: the cameras' median; ``stops``: its exposure against the
-    median camera. ``swapped``: the camera whose pictures it has.
+    median camera. ``swapped``: the camera whose pictures it has. ``matched``: whether another camera's pictures have
+    what its own show.
     """
 
     camera: str
     lost: Sequence[int] = ()
     hung: Sequence[int] = ()
     dropped: Sequence[int] = ()
+    unread: Sequence[int] = ()
+    damage: str = ""
     swapped: str | None = None
     misplaced: bool = False
     turned: float = math.nan
@@ -54,6 +61,7 @@ class Findings:
     usual_noise: float = math.nan
     stops: float = math.nan
     moving: bool = False
+    matched: bool = True
 
 
 @dataclass(frozen=True)
@@ -84,6 +92,13 @@ def faults_of(found: Findings) -> Iterator[Fault]:
     if found.lost:
         yield fault(DEAD, f"shows nothing in {_frames(found.lost)}", f"see to its cable and exposure, {left_out}")
         return
+    if found.noise >= _ONLY_NOISE_LEVELS and not found.matched:
+        yield fault(
+            NOISE,
+            f"shows noise of {found.noise:.0f} levels and nothing that two cameras agree on",
+            f"look at its recording, {left_out}",
+        )
+        return
     is_blurred = found.sharpness < BLURRED_BELOW
     # What is out of focus has little noise of its own, too.
     if found.hung and not is_blurred:
@@ -100,6 +115,8 @@ def faults_of(found: Findings) -> Iterator[Fault]:
         yield _misplaced(found, left_out)
     elif abs(found.late) >= _LATE_FRAMES and not (found.hung or found.moving):
         yield _late(found)
+    if found.unread:
+        yield fault(DAMAGED, f"has no picture in {_frames(found.unread)}", found.damage)
     if found.dropped and not is_blurred:
         yield fault(DROPPED, f"has no picture of its own in {_frames(found.dropped)}", "look at its recorder")
     if is_blurred:

@@ -42,23 +42,33 @@ _MAX_FROZEN_SHARE = 0.15
 _MIN_OTHERS_LEVELS = 0.25
 """Least median change of the others, in levels, against which a repeat shows."""
 _HANGS = 5
-"""Pictures in a row that tell a camera that hangs from one that dropped frames."""
+"""Recorded pictures in a row that tell a camera that hangs, or is dead, from one that dropped frames."""
+_HANGS_AT_THE_END = 2
+"""Pictures of a row that goes on to the last one: nothing shows that the camera came back."""
 
 
 @dataclass(frozen=True)
 class Recordings:
-    """Pictures, (cameras, F), that show nothing of their moment: ``blank``, and ``repeats`` of the one before."""
+    """Pictures, (cameras, F), that show nothing of their moment: ``blank``, and ``repeats`` of the one before.
+
+    ``step``: recorded frames from one picture to the next, all of which a repeat has missed. ``at_rest``: frames (F,)
+    in which no camera could show a change, so that they end no row of repeats. ``unread``: those that cannot be read,
+    in whose place there is the one before.
+    """
 
     blank: BoolArray
     repeats: BoolArray
+    step: int
+    at_rest: BoolArray
+    unread: BoolArray
 
     def dead(self, camera: int) -> BoolArray:
         """Which pictures (F,) of a camera show nothing, in a long row."""
         return _long_rows(self.blank[camera])
 
     def hung(self, camera: int) -> BoolArray:
-        """Which pictures (F,) are repeats, in a long row."""
-        return _long_rows(self.repeats[camera])
+        """Which pictures (F,) are repeats, in a long row, or one from which the camera never comes back."""
+        return _long_rows(self.repeats[camera], self.at_rest, self.step, _HANGS_AT_THE_END)
 
     def dropped(self, camera: int) -> BoolArray:
         """Which pictures (F,) are missing singly."""
@@ -67,12 +77,14 @@ class Recordings:
 
     def without_lost(self, noise: F64) -> F64:
         """The ``noise`` (cameras, F) between pictures and those before them, NaN where one of the two is lost."""
-        lost = self.blank | self.repeats
+        lost = self.blank | self.repeats | self.unread
         return np.asarray(np.where(lost | np.roll(self.blank, 1, axis=1), np.nan, noise))
 
 
-def find_lost(pictures: Sequence[U8]) -> Recordings:
-    """The lost ones among the cameras' ``pictures``, (F, H, W, 3) each.
+def find_lost(pictures: Sequence[U8], step: int = 1, unread: BoolArray | None = None) -> Recordings:
+    """The lost ones among the cameras' ``pictures``, (F, H, W, 3) each, of every ``step``-th frame.
+
+    ``unread`` (cameras, F) are neither blank nor repeats.
 
     What most cameras show in a frame is no loss: a room without light is black.
     """
@@ -81,15 +93,17 @@ def find_lost(pictures: Sequence[U8]) -> Recordings:
     changes = np.array([_changes(own) for own in pictures])
     changes[:, 1:][blank[:, 1:] | blank[:, :-1]] = np.nan
     repeats = np.zeros(changes.shape, bool)
+    at_rest = np.nan_to_num(_median(changes)) < _MIN_OTHERS_LEVELS
     for camera in range(len(pictures)) if len(pictures) > 2 else ():
         others = np.nan_to_num(_median(np.delete(changes, camera, axis=0)))
-        own = changes[camera][np.isfinite(changes[camera])]
-        if len(own):
-            stands = np.median(own) < _MAX_FROZEN_SHARE * np.median(others[1:])
+        shows = np.isfinite(changes[camera]) & (others >= _MIN_OTHERS_LEVELS)
+        if shows.any():
+            own = changes[camera][shows]
+            stands = np.median(own) < _MAX_FROZEN_SHARE * np.median(others[shows])
             usual = np.inf if stands else float(np.quantile(own, _OWN_QUANTILE))
-            quiet = changes[camera] < np.minimum(_MAX_CHANGE_SHARE * others, _MAX_OWN_SHARE * usual)
-            repeats[camera] = quiet & (others >= _MIN_OTHERS_LEVELS)
-    return Recordings(blank, repeats)
+            repeats[camera] = shows & (changes[camera] < np.minimum(_MAX_CHANGE_SHARE * others, _MAX_OWN_SHARE * usual))
+    unread = np.zeros_like(blank) if unread is None else unread
+    return Recordings(blank & ~unread, repeats & ~unread, step, at_rest, unread)
 
 
 def detail(picture: Picture) -> F64:
@@ -139,12 +153,18 @@ def _changes(pictures: U8) -> F64:
     return changes
 
 
-def _long_rows(lost: BoolArray) -> BoolArray:
-    """Those of lost pictures (F,) that lie in rows of _HANGS, or of all that can be lost."""
+def _long_rows(lost: BoolArray, bridges: BoolArray | None = None, step: int = 1, at_the_end: int = _HANGS) -> BoolArray:
+    """Those of lost pictures (F,) that lie in rows of _HANGS frames, of all that can be lost, or of ``at_the_end``.
+
+    ``bridges``: those that end no row, and count for none.
+    """
     kept = np.zeros(len(lost), bool)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
+    goes_on = lost if bridges is None else lost | bridges
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], goes_on, [False]])))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        kept[begin:end] = end - begin >= min(_HANGS, max(1, len(lost) - 1))
+        count, enough = int(lost[begin:end].sum()), at_the_end if end == len(lost) else _HANGS
+        if count * step >= _HANGS or count >= min(enough, max(1, len(lost) - 1)):
+            kept[begin:end] = lost[begin:end]
     return kept
 
 

@@ -201,6 +201,8 @@ def check_rig(stats: RigStatistics, each: Each) -> RigCheck:
             lost=[stats.frames[k] for k in np.flatnonzero(stats.recordings.dead(row))],
             hung=[stats.frames[k] for k in np.flatnonzero(stats.recordings.hung(row))],
             dropped=[stats.frames[k] for k in np.flatnonzero(stats.recordings.dropped(row))],
+            unread=[stats.frames[k] for k in np.flatnonzero(stats.recordings.unread[row])],
+            damage=stats.damage.get(name, ""),
             sharpness=float(sharp),
             noise=float(noise[row]),
             usual_noise=float(np.median(noise)),
@@ -249,6 +251,7 @@ def judge_rig(
             turned=float(poses.turned[row]),
             residual=float(poses.residuals[row]),
             late=float(late[row]),
+            matched=bool(connected[row]),
         )
         faults = tuple(faults_of(own))
         checks.append(

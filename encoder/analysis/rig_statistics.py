@@ -7,8 +7,8 @@ MAX_BYTES. Of a longer clip every n-th frame is analysed; the others are skipped
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import cv2
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from decogs.decoder.lens import Undistortion
 from decogs.formats.callbacks import OnProgress
 from decogs.formats.cameras import Camera, scale_camera
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import RigError, UsageError
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, read_frames
 
@@ -56,7 +56,8 @@ class RigStatistics:
     ``noise`` (cameras, F): standard deviation of the difference of successive pictures over sqrt 2, in 8-bit levels of
     full-size pixels. ``recordings``: which pictures are lost; ``details`` (cameras, BANDS): of the first pictures, at
     full size. ``moving``: whether a camera moves through the scene. ``backdrop``: the plain stage or room of the first
-    frame, seen in these pictures; None where there is neither.
+    frame, seen in these pictures; None where there is neither. ``damage``: why the first picture that cannot be read
+    is none, by camera.
     """
 
     cameras: tuple[Camera, ...]
@@ -73,6 +74,7 @@ class RigStatistics:
     details: F64
     moving: tuple[bool, ...]
     backdrop: BackdropStage | None = None
+    damage: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -96,14 +98,25 @@ def gather_statistics(
     """Measures the frames (default: all) of every camera except the held-out ones.
 
     The result does not depend on ``threads`` (0: all processors). ``on_step`` is called with steps done and in all.
-    Raises UsageError for cameras or frames the rig does not have, RigError while reading.
+    Raises UsageError for cameras or frames the rig does not have, RigError for a first frame that cannot be read. A
+    later picture that cannot be read is left out.
     """
     cameras, scales = _small_cameras(rig, holdout)
     span = range(rig.frame_count) if frames is None else frames
     chosen = _thin(span, cameras)
     steps = _Steps(len(chosen) + 2 * len(cameras), on_step)
+    names, unread = [camera.name for camera in cameras], np.zeros((len(cameras), len(chosen)), bool)
+    damage: dict[str, str] = {}
+
+    def lose(index: int, name: str, error: RigError) -> None:
+        if index == chosen[0]:
+            raise error
+        unread[names.index(name), chosen.index(index)] = True
+        damage.setdefault(name, str(error))
+
     with side_by_side(threads) as each:
-        recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
+        read = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=names, on_lost=lose)
+        recorded = _repeated(read, unread)
         pictures, noise, details = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
         matches = find_matches(cameras, [own[0] for own in pictures], each)
         backdrop = _backdrop(cameras, [own[0] for own in pictures])
@@ -112,7 +125,7 @@ def gather_statistics(
         lights = [steps.count(found) for found in each(light_at, pictures, pixels)]
         light = own_light(points, lights, list(each(light_overall, pictures)))
         paths = [steps.count(path) for path in each(camera_path, pictures)]
-        recordings = find_lost(pictures)
+        recordings = find_lost(pictures, chosen.step, unread)
         moving = tuple(each(moves_through, cameras, pictures, paths))
     return RigStatistics(
         cameras,
@@ -129,7 +142,18 @@ def gather_statistics(
         details,
         moving,
         backdrop,
+        damage,
     )
+
+
+def _repeated(
+    frames: Iterable[tuple[int, list[Picture]]], unread: NDArray[np.bool_]
+) -> Iterator[tuple[int, list[Picture]]]:
+    """The frames with the pictures before in place of those ``unread`` (cameras, F)."""
+    before: list[Picture] = []
+    for column, (index, pictures) in enumerate(frames):
+        before = [before[row] if unread[row, column] else now for row, now in enumerate(pictures)]
+        yield index, before
 
 
 def _backdrop(cameras: Sequence[Camera], pictures: Sequence[U8]) -> BackdropStage | None:

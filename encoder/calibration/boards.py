@@ -1,5 +1,8 @@
 """A board and where cameras see it; printed inverted, or, a ChArUco, seen mirrored, as from its back through glass.
 
+A ChArUco with an even number of rows begins with a dark square since OpenCV 4.6, with a marker before, and as calib.io
+sells it (opencv/opencv_contrib#3291): either is found.
+
 A flat board seen from behind is the same plane of points: corners found in the flipped picture and turned back are
 where those points are. A video that is itself mirrored looks the same, but fits no other camera while the board moves.
 """
@@ -7,9 +10,9 @@ where those points are. A video that is itself mirrored looks the same, but fits
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, ClassVar, Protocol
 
 import cv2
@@ -27,6 +30,13 @@ _CHARUCO = re.compile(
 )
 _CHESSBOARD = re.compile(r"chessboard:([0-9]{1,3})x([0-9]{1,3}):([0-9.]{1,12})", re.ASCII)
 _DICTIONARY = "DICT_4X4_1000"
+_FAMILIES = (
+    *(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)), "DICT_ARUCO_ORIGINAL", "DICT_ARUCO_MIP_36h12",
+    *(f"DICT_APRILTAG_{kind}" for kind in ("16h5", "25h9", "36h10", "36h11")),
+)  # fmt: skip
+"""OpenCV's dictionaries of markers; those of 50 to 250 words are beginnings of those of 1000."""
+_MIN_MARKERS = 4
+"""Of one dictionary, in one picture: fewer are seen where none is."""
 _MAX_SQUARE = 1.0
 """Metres: no print has larger ones, and whoever states millimetres, centimetres or inches states more."""
 _WINDOW = 0.25
@@ -43,6 +53,10 @@ class Board(Protocol):
 
     is_chiral: ClassVar[bool]
 
+    def patterns(self) -> Sequence[Board]:
+        """The boards that are described alike, and have their corners in the same places."""
+        ...
+
     def corners(self) -> F64:
         """Places (N, 3) of the inner corners on the board, metres."""
         ...
@@ -51,10 +65,17 @@ class Board(Protocol):
         """The corners that a picture (H, W) shows."""
         ...
 
+    def why_unseen(self, pictures: Iterable[U8]) -> str:
+        """What to check where none of the pictures (H, W, 3) shows its corners."""
+        ...
+
 
 @dataclass(frozen=True)
 class Charuco:
-    """A ChArUco board: squares along its sides, sides of a square and a marker in metres, OpenCV's dictionary."""
+    """A ChArUco board: squares along its sides, sides of a square and a marker in metres, OpenCV's dictionary.
+
+    ``is_legacy``: begins with a marker, as boards with an even number of rows did before OpenCV 4.6.
+    """
 
     is_chiral: ClassVar[bool] = True
     columns: int
@@ -62,6 +83,14 @@ class Charuco:
     square: float
     marker: float
     dictionary: str
+    is_legacy: bool = False
+
+    def __str__(self) -> str:
+        return "ChArUco board" + (", pattern of OpenCV before 4.6" if self.is_legacy else "")
+
+    def patterns(self) -> Sequence[Board]:
+        """As described, and, where the number of rows is even, as OpenCV before 4.6 has it."""
+        return (self,) if self.rows % 2 else (self, replace(self, is_legacy=True))
 
     def corners(self) -> F64:
         """Places (N, 3) of the inner corners on the board, metres."""
@@ -69,17 +98,38 @@ class Charuco:
 
     def found(self, grey: U8) -> Corners | None:
         """The corners that a picture (H, W) shows, whichever part of the board is in it."""
-        corners, numbers, _, _ = self._detector.detectBoard(grey)
-        return None if numbers is None else (numbers.ravel().astype(np.int64), corners.reshape(-1, 2))
+        # A detector for each call takes microseconds, and none is shared by threads.
+        corners, numbers, _, _ = cv2.aruco.CharucoDetector(self.made()).detectBoard(grey)
+        return None if numbers is None else (numbers.ravel().astype(np.int64), np.asarray(corners.reshape(-1, 2)))
 
-    @cached_property
-    def _detector(self) -> Any:
-        return cv2.aruco.CharucoDetector(self.made())
+    def why_unseen(self, pictures: Iterable[U8]) -> str:
+        """Whether the pictures show its markers elsewhere on a board, or those of another dictionary, or none."""
+        for picture in pictures:
+            grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+            seen = {family: self._markers(grey, family) for family in _FAMILIES}
+            family = max(seen, key=seen.__getitem__)
+            if seen[family] < _MIN_MARKERS:
+                continue
+            if self.dictionary.startswith(family.removesuffix("_1000")):
+                return (
+                    f"its markers are seen, but not as a board of {self.columns} x {self.rows} squares has them; check "
+                    "how many it has along each side, columns first"
+                )
+            return f"markers of {family} are seen, not of {self.dictionary}; state the dictionary of its markers"
+        return "check how many squares it has along each side, and its dictionary of markers, or show it to the cameras"
+
+    def _markers(self, grey: Any, dictionary: str) -> int:
+        """How many markers a picture shows that a board of so many squares has."""
+        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+        numbers = cv2.aruco.ArucoDetector(words).detectMarkers(grey)[1]
+        return 0 if numbers is None else len({n for n in numbers.ravel().tolist() if n < self.columns * self.rows // 2})
 
     def made(self) -> Any:
         """OpenCV's board."""
         words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, words)
+        board = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, words)
+        board.setLegacyPattern(self.is_legacy)
+        return board
 
 
 @dataclass(frozen=True)
@@ -93,6 +143,17 @@ class Chessboard:
     columns: int
     rows: int
     square: float
+
+    def __str__(self) -> str:
+        return "chessboard"
+
+    def patterns(self) -> Sequence[Board]:
+        """This one."""
+        return (self,)
+
+    def why_unseen(self, pictures: Iterable[U8]) -> str:
+        """Nothing on it tells."""
+        return "check how many squares it has along each side, or show all of it to the cameras"
 
     def corners(self) -> F64:
         """Places (N, 3) of the inner corners on the board, metres."""
@@ -182,31 +243,40 @@ def _charuco(text: str, columns: int, rows: int, square: float, marker: float, d
 
 
 class BoardFinder:
-    """Finds a board in pictures; remembers whether its print is inverted, which one sight of it tells."""
+    """Finds a board in pictures; remembers which pattern it has and whether its print is inverted: one sight tells.
+
+    ``board``: the one that was seen.
+    """
 
     def __init__(self, board: Board) -> None:
-        self._board = board
-        self._prints = [False, True]
+        self.board = board
+        self._prints = list(product(board.patterns(), (False, True)))
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it has seen the board."""
+        return len(self._prints) == 1
 
     def __call__(self, picture: U8) -> BoardView | None:
         """The board in a picture (H, W, 3); None where fewer than 6 of its corners are found."""
         grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
-        for inverted in self._prints:
-            for mirrored in (False, True) if self._board.is_chiral else (False,):
-                view = self._found(255 - grey if inverted else grey, mirrored)
+        for board, inverted in self._prints:
+            for mirrored in (False, True) if board.is_chiral else (False,):
+                view = _view(board, 255 - grey if inverted else grey, mirrored)
                 if view is not None:
-                    self._prints = [inverted]
+                    self.board, self._prints = board, [(board, inverted)]
                     return view
         return None
 
-    def _found(self, grey: U8, mirrored: bool) -> BoardView | None:
-        found = self._board.found(np.ascontiguousarray(grey[:, ::-1]) if mirrored else grey)
-        if found is None or len(found[0]) < MIN_CORNERS:
-            return None
-        pixels = found[1] + 0.5
-        if mirrored:
-            pixels[:, 0] = grey.shape[1] - pixels[:, 0]
-        return BoardView(found[0], pixels.astype(np.float64), mirrored)
+
+def _view(board: Board, grey: U8, mirrored: bool) -> BoardView | None:
+    found = board.found(np.ascontiguousarray(grey[:, ::-1]) if mirrored else grey)
+    if found is None or len(found[0]) < MIN_CORNERS:
+        return None
+    pixels = found[1] + 0.5
+    if mirrored:
+        pixels[:, 0] = grey.shape[1] - pixels[:, 0]
+    return BoardView(found[0], pixels.astype(np.float64), mirrored)
 
 
 def board_views(pictures: Iterable[U8], find: BoardFinder) -> dict[int, BoardView]:

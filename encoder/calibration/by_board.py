@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, repeat
 
 import cv2
 import numpy as np
 
 from decogs.formats.errors import UsageError
 
+from ..parallel import Each
 from .board_rig import BoardRig, place_by_board
 from .boards import Board, BoardFinder, BoardView, board_views
 from .features import F64
@@ -20,6 +21,8 @@ from .lenses import Lens, board_error, focal_deviation, focal_that_fits, lens_fr
 from .placed import MAX_ERROR, Calibration, OnStep, Placed, inaccurate
 
 _INSTANTS = 120
+_UNSEEN = 4
+"""Frames of each camera, at least, that are asked for other markers where none shows the board."""
 _MAX_FOCAL_DEVIATION, _NAMED_FOCAL_DEVIATION = 0.02, 0.01
 """Of a focal length that a board gave, as its share: what is left out, and what is named. On `desk_charuco_4cam`, where
 the board is in the middle of the pictures, deviations of .002, .015 and .016 come with focal lengths off by 1 to 3 %,
@@ -35,48 +38,61 @@ _CONTRADICTED = 1.2
 
 @dataclass(frozen=True)
 class BoardLenses:
-    """Sights of the board by camera and instant, lenses with their errors, px, why others have none, and doubts."""
+    """Sights of the board by camera and instant, lenses with their errors, px, why others have none, and doubts.
+
+    ``way``: the board that was seen, in words.
+    """
 
     views: Mapping[int, Mapping[int, BoardView]]
     lenses: Mapping[int, Lens]
     errors: Mapping[int, float]
     reasons: Mapping[int, str]
     doubts: Mapping[int, str]
+    way: str
 
 
 def lenses_by_board(
-    footage: Sequence[Footage], board: Board, frames: int | None, given: Given | None, on_step: OnStep
+    footage: Sequence[Footage], board: Board, frames: int | None, given: Given | None, each: Each, on_step: OnStep
 ) -> BoardLenses:
     """Each camera's lens from its own sights of the board, or the given one, which these must not contradict.
 
     Raises UsageError where no camera sees such a board.
     """
     find, corners, instants = BoardFinder(board), board.corners(), instants_of(footage, frames or _INSTANTS)
-    views: dict[int, Mapping[int, BoardView]] = {}
+
+    def looked_at(camera: Footage) -> Mapping[int, BoardView]:
+        return board_views(pictures_at(camera, instants), find)
+
+    found: list[Mapping[int, BoardView]] = []
+    while not find.is_sure and len(found) < len(footage):  # the first that sees it tells what print it is
+        found.append(looked_at(footage[len(found)]))
+        on_step(len(found), len(footage))
+    for seen in each(looked_at, footage[len(found) :]):
+        found.append(seen)
+        on_step(len(found), len(footage))
+    views = dict(enumerate(found))
+    if not any(views.values()):
+        some = instants[:: max(1, len(instants) // _UNSEEN)]
+        word = board.why_unseen(picture for camera in footage for picture in pictures_at(camera, some))
+        raise UsageError(f"`board`: no camera shows it in {len(instants)} frames looked at; {word}")
+    every = [list(seen.values()) for seen in found]
+    sizes = [camera.size for camera in footage]
+    own = [(lens, "") for lens in given.lenses] if given is not None else each(_own_lens, every, repeat(corners), sizes)
     lenses: dict[int, Lens] = {}
     reasons: dict[int, str] = {}
     doubts: dict[int, str] = {}
-    for number, camera in enumerate(footage):
-        views[number] = board_views(pictures_at(camera, instants), find)
-        seen = list(views[number].values())
-        lens, word = _own_lens(seen, corners, camera.size) if given is None else (given.lenses[number], "")
-        if lens is None or not seen:
-            few = f"sees the board in {len(seen)} of {len(instants)} frames looked at; show it the board more often"
-            reasons[number] = word or few
+    for number, (lens, word) in enumerate(own):
+        if lens is None or not every[number]:
+            few = f"sees the board in {len(every[number])} of {len(instants)} frames looked at"
+            reasons[number] = word or f"{few}; show it the board more often"
         else:
             lenses[number] = lens
             doubts |= {number: word} if word else {}
-        on_step(number + 1, len(footage))
-    if not any(views.values()):
-        raise UsageError(
-            f"`board`: no camera shows it in {len(instants)} frames looked at; check how many squares it has along "
-            "each side, and its dictionary of markers, or show it to the cameras"
-        )
-    sights = {number: list(views[number].values()) for number in lenses}
+    sights = {number: every[number] for number in lenses}
     if given is not None and (misfits := _misfits(given, sights, corners)):
         raise given.contradicted(footage, misfits)
     errors = {number: board_error(lens, sights[number], corners) for number, lens in lenses.items()}
-    return BoardLenses(views, lenses, errors, reasons, doubts)
+    return BoardLenses(views, lenses, errors, reasons, doubts, str(find.board))
 
 
 def _own_lens(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> tuple[Lens | None, str]:
@@ -104,10 +120,10 @@ def _misfits(given: Given, sights: Mapping[int, Sequence[BoardView]], corners: F
 
 
 def place_with_board(
-    footage: Sequence[Footage], board: Board, frames: int | None, given: Given | None, on_step: OnStep
+    footage: Sequence[Footage], board: Board, frames: int | None, given: Given | None, each: Each, on_step: OnStep
 ) -> Calibration:
     """Cameras that see the board together, in metres."""
-    found = lenses_by_board(footage, board, frames, given, on_step)
+    found = lenses_by_board(footage, board, frames, given, each, on_step)
     rig, left_out = _placed_accurately(found.lenses, found.views, board.corners(), footage)
     reasons = {**found.reasons, **left_out}
     placed = []
@@ -132,7 +148,7 @@ def place_with_board(
     return Calibration(
         tuple(placed),
         {names[number]: reasons[number] for number in sorted(reasons)},
-        "board",
+        found.way,
         "metre",
         {names[number]: doubt for number, doubt in sorted(doubts.items())},
         {(names[a], names[b]): count for (a, b), count in common.items() if count},

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
+from ..parallel import Each
 from .features import F64, Features, features_of, matched, sift_extractor
 from .footage import Footage, instants_of, pictures_at
 from .given import CERTAIN, Given
 from .held_out import split
-from .placed import MAX_ERROR, Calibration, OnStep, Placed, inaccurate, scaled
+from .placed import MAX_ERROR, MIN_CAMERAS, Calibration, OnStep, Placed, inaccurate, scaled
 from .structure import Mapped, Matched, map_cameras, require_pycolmap
 
 _INSTANTS = 8
@@ -43,6 +45,7 @@ def place_by_motion(
     seed: int,
     shared: bool,
     given: Given | None,
+    each: Each,
     on_step: OnStep,
 ) -> Calibration:
     """Cameras placed by structure from motion; the mean distance of two is 1. ``shared``: of one size, of one lens.
@@ -50,20 +53,20 @@ def place_by_motion(
     Raises UsageError where pictures contradict given lenses.
     """
     require_pycolmap()
-    instants, extractor = instants_of(footage, frames or _INSTANTS), sift_extractor()
+    instants = instants_of(footage, frames or _INSTANTS)
     total = len(footage) + 4
     features = []
-    for number, camera in enumerate(footage):
-        features.append(features_of(list(pictures_at(camera, instants)), extractor))
-        on_step(number + 1, total)
-    pairs = combinations(range(len(footage)), 2)
-    matches = split(features, {(a, b): matched(features[a], features[b]) for a, b in pairs})
+    for own in each(lambda camera: features_of(list(pictures_at(camera, instants)), sift_extractor()), footage):
+        features.append(own)
+        on_step(len(features), total)
+    pairs = list(combinations(range(len(footage)), 2))
+    found_matches = each(lambda pair: matched(*(features[number] for number in pair)), pairs)
+    matches = split(features, dict(zip(pairs, found_matches, strict=True)))
     start = Matched([one.name for one in footage], [one.size for one in footage], features, matches, shared, given)
     ways = iter(range(len(footage) + 1, total + 1))
-    mapped = map_cameras(start, seed, lambda: on_step(next(ways), total))
-    if given is not None and (misfits := _misfits(given, mapped, start, seed)):
+    mapped, found = believed(start, footage, seed, lambda: on_step(next(ways), total))
+    if given is not None and (misfits := _misfits(given, mapped, start, footage, seed)):
         raise given.contradicted(footage, misfits)
-    found = judged(mapped, footage)
     words = moving_cameras({one.name: own.moving for one, own in zip(footage, features, strict=True)})
     for one, own in zip(footage, features, strict=True):
         if own.shifted > _SHIFTED:
@@ -72,7 +75,7 @@ def place_by_motion(
         if found.placed and one.name in found.not_connected:
             pictures = [np.ascontiguousarray(picture[:, ::-1]) for picture in pictures_at(one, instants)]
             others = [*features[:number], *features[number + 1 :]]
-            if is_mirrored(features[number], features_of(pictures, extractor), others):
+            if is_mirrored(features[number], features_of(pictures, sift_extractor()), others):
                 words[one.name] = "fits the others when it is mirrored; turn the video left to right"
     return _explained(found, words)
 
@@ -101,11 +104,13 @@ def _is_consistent(mapped: Mapped) -> bool:
     return mapped.score.explained >= _MIN_EXPLAINED
 
 
-def _misfits(given: Given, mapped: Mapped | None, start: Matched, seed: int) -> Mapping[int, float]:
+def _misfits(
+    given: Given, mapped: Mapped | None, start: Matched, footage: Sequence[Footage], seed: int
+) -> Mapping[int, float]:
     """Focal lengths, px, by which pictures contradict those given; where these leave cameras out, of free lenses."""
     if mapped is not None and _is_consistent(mapped) and (mapped.misfits or len(mapped.cameras) == len(start.names)):
         return mapped.misfits
-    free = map_cameras(replace(start, given=None), seed, lambda: None)
+    free, _ = believed(replace(start, given=None), footage, seed)
     if free is None or not _is_consistent(free):
         return {}
     return {
@@ -115,7 +120,38 @@ def _misfits(given: Given, mapped: Mapped | None, start: Matched, seed: int) -> 
     }
 
 
-def judged(mapped: Mapped | None, footage: Sequence[Footage]) -> Calibration:
+def believed(
+    start: Matched, footage: Sequence[Footage], seed: int, on_step: Callable[[], None] = lambda: None
+) -> tuple[Mapped | None, Calibration]:
+    """A reconstruction without the cameras that are not to be believed, as if their videos were not there.
+
+    The worst is left out and the rest placed anew. Wrong matches bend the lenses of those that share them, and no
+    covariance shows it: a mirrored camera among four puts the others' focal lengths 12 to 15 % off.
+    """
+    left_out: dict[str, str] = {}
+    while True:
+        mapped = map_cameras(start, seed, on_step)
+        found = _judged(mapped, footage)
+        bad = [] if mapped is None else [k for k in mapped.cameras if footage[k].name in found.not_connected]
+        if mapped is None or not bad or len(mapped.cameras) <= MIN_CAMERAS or not _is_consistent(mapped):
+            return mapped, replace(found, not_connected={**found.not_connected, **left_out})
+        worst = max(bad, key=partial(_badness, mapped, footage))
+        left_out[footage[worst].name] = found.not_connected[footage[worst].name]
+        start, on_step = start.without(worst), lambda: None
+
+
+def _badness(mapped: Mapped, footage: Sequence[Footage], number: int) -> tuple[float, int]:
+    """What a camera is left out for, in times the most that it may be; where that is alike, fewer points are worse."""
+    focal = mapped.focal_errors.get(number, 0) / _MAX_FOCAL_ERROR
+    error = _reprojection_error(mapped, number) / _max_error(footage[number])
+    return max(focal, error), -mapped.model.images[number + 1].num_points3D
+
+
+def _max_error(one: Footage) -> float:
+    return max(MAX_ERROR * one.size[0], _FEATURES_ERROR)
+
+
+def _judged(mapped: Mapped | None, footage: Sequence[Footage]) -> Calibration:
     """What of a reconstruction is to be believed."""
     names = [one.name for one in footage]
     if mapped is None:
@@ -133,7 +169,7 @@ def judged(mapped: Mapped | None, footage: Sequence[Footage]) -> Calibration:
     for number, one in enumerate(footage):
         if number not in errors:
             reasons[number] = f"shares too little with placed cameras; {_BOARD}"
-        elif errors[number] > max(MAX_ERROR * one.size[0], _FEATURES_ERROR):
+        elif errors[number] > _max_error(one):
             reasons[number] = inaccurate(errors[number], _BOARD)
         elif mapped.focal_errors.get(number, 0) > _MAX_FOCAL_ERROR:
             reasons[number] = doubts[number]

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from decogs.formats.command_line import Parser, print_text, progress, run, warn_as, whole_number
+from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as, whole_number
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import staged_files
+from decogs.formats.unicode_forms import composed
 
 if TYPE_CHECKING:
     from decogs.formats.cameras import Camera
@@ -30,7 +31,8 @@ def calibrate_parser() -> Parser:
     parser = Parser(
         prog="decogs-calibrate",
         description="Find lenses and places of fixed cameras from their videos, and write a rig that encodes read.",
-        epilog="Without a board needs pip install 'decogs[calibrate]'. Same videos and seed, same bytes.",
+        epilog="Without a board needs pip install 'decogs[calibrate]'. Same videos and seed, same bytes, on any "
+        "number of threads.",
     )
     parser.add_argument("videos_dir", help="the folder with one video for each camera")
     parser.add_argument("-o", "--output", required=True, metavar="RIG_DIR", help="for rig.json and calibration.json")
@@ -54,6 +56,7 @@ def calibrate_parser() -> Parser:
     )
     parser.add_argument(
         "--distance",
+        type=composed,
         metavar="CAM_A:CAM_B:METRES",
         help="between two cameras: the unit becomes the metre (without a board)",
     )
@@ -76,6 +79,7 @@ def calibrate_parser() -> Parser:
     parser.add_argument(
         "--shared-intrinsics", action="store_true", help="one lens for all cameras of one size (without a board)"
     )
+    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_quiet()
     return parser
 
@@ -106,6 +110,7 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
                 distance=None if options.distance is None else parse_distance(options.distance),
                 up=options.up,
                 sync=options.sync,
+                threads=options.threads,
                 on_step=on_step,
             )
         write_rig(found, Path(options.output), staging, page_of(found, options.output))
@@ -131,11 +136,14 @@ def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | Non
             raise UsageError(f"`{name}`: says nothing of lenses alone; leave it away, or `lenses_only`")
     with staged_files(Path(options.output)) as staging:
         with progress("calibrating", "step", quiet=options.quiet) as on_step:
-            found, doubts = calibrate_lenses(Path(options.videos_dir), board, options.frames, on_step)
+            found, doubts, way = calibrate_lenses(
+                Path(options.videos_dir), board, options.frames, threads=options.threads, on_step=on_step
+            )
         write_lenses(found, staging)
     for doubt, names in by_reason(doubts).items():
         warn_as(parser)(f"{names}: {doubt}")
-    print_text("\n".join(_line(camera, error) for camera, error in found.values()))
+    lines = [_line(camera, error) for camera, error in found.values()]
+    print_text("\n".join([*lines, f"{len(lines)} lenses found ({way})"]))
 
 
 def _line(camera: Camera, error: float) -> str:

@@ -16,7 +16,15 @@ from decogs.formats.colour import srgb_from_linear
 from decogs.formats.errors import RigError
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import FrameSource
-from decogs.formats.rigs.sources import holds_frames, list_folder, open_source, pictures_in
+from decogs.formats.rigs.sources import (
+    holds_frames,
+    largest_unknown,
+    list_folder,
+    open_source,
+    pictures_in,
+    refuse_unknown_kinds,
+)
+from decogs.formats.unicode_forms import composed
 
 _THUMBNAIL = (64, 48)
 _SAME_STEPS = 1.0
@@ -58,14 +66,22 @@ def open_footage(folder: Path) -> tuple[Footage, ...]:
     framed = [entry for entry in list_folder(folder) if holds_frames(entry)]
     entries = [entry for entry in framed if entry.is_file()] or framed or list(pictures_in(folder))
     if not entries:
+        refuse_unknown_kinds(list_folder(folder))
         raise RigError(f"{folder}: no videos in here, nor pictures; put one video for each camera there")
     unsaid = [entry.name for entry in entries if not str(entry.resolve()).isprintable()]
     if unsaid:
         raise RigError(f"{folder}: {unsaid[0]!r}, or a folder it is in, has a name with control characters; rename it")
-    twice = [name for name, count in Counter(entry.stem for entry in entries).items() if count > 1]
+    names = [composed(entry.stem) for entry in entries]
+    twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise RigError(f"{folder}: two files are called {twice[0]}; give each camera a name of its own")
-    return tuple(Footage(entry.stem, open_source(entry)) for entry in entries)
+    return tuple(Footage(name, open_source(entry)) for name, entry in zip(names, entries, strict=True))
+
+
+def unread_beside(folder: Path, footage: Sequence[Footage]) -> Path | None:
+    """The largest file beside the cameras', or in a folder there, whose ending is not read."""
+    read = {camera.source.path for camera in footage}
+    return largest_unknown(entry for entry in list_folder(folder) if entry not in read)
 
 
 def instants_of(footage: Sequence[Footage], count: int) -> range:

@@ -17,7 +17,7 @@ def page_of(found: Calibration, title: str) -> str:
     cameras = [one.camera for one in found.placed]
     colours = {camera.name: _DOUBTED if camera.name in found.doubts else _SURE for camera in cameras}
     links = {pair: count for pair, count in found.links.items() if set(pair) <= colours.keys()}
-    shared = "times both saw the board" if found.way == "board" else "points that both see"
+    shared = "times both saw the board" if "board" in found.way else "points that both see"
     unit = f"Unit: {found.length_unit}." if found.length_unit else "Unit: the mean distance of two cameras."
     every = len(cameras) + len(found.not_connected)
     return document(

@@ -21,6 +21,8 @@ Edge = Literal["auto", "top", "bottom", "left", "right"]
 """Of the pictures: the one that points up in the world."""
 EDGES: tuple[Edge, ...] = get_args(Edge)
 
+MIN_CAMERAS = 3
+"""Of a rig."""
 MAX_ERROR = 0.001
 """Reprojection error in widths of the picture: a pixel of 1000. By a pixel the finest detail, two pixels wide, is in
 opposite phase, and what cameras see together becomes blur. Right calibrations have .1 to .6."""

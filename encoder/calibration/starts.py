@@ -10,6 +10,8 @@ import numpy as np
 
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import Rig, in_step
+from decogs.formats.rigs.rig import recorded_rate
+from decogs.formats.rigs.timeline import Timeline
 
 from ..synchronisation.opening import AUTO
 from ..synchronisation.starts import find_starts_without_poses
@@ -17,7 +19,9 @@ from ..synchronisation.sync_file import read_starts
 from .footage import Footage
 
 
-def brought_in_step(videos: Path, footage: Sequence[Footage], sync: str) -> tuple[tuple[Footage, ...], tuple[str, ...]]:
+def brought_in_step(
+    videos: Path, footage: Sequence[Footage], sync: str, threads: int
+) -> tuple[tuple[Footage, ...], tuple[str, ...]]:
     """The footage from the same instant on, with its starts, and what the user should know.
 
     ``sync``: AUTO, or the path of a sync.json. Raises RigError as `decogs.formats.rigs.steps`.
@@ -25,7 +29,7 @@ def brought_in_step(videos: Path, footage: Sequence[Footage], sync: str) -> tupl
     rig = _without_poses(videos, footage)
     warnings: tuple[str, ...] = ()
     if sync == AUTO:
-        found = find_starts_without_poses(rig)
+        found = find_starts_without_poses(rig, threads=threads)
         starts, warnings = found.starts, found.warnings
     else:
         starts = read_starts(Path(sync), rig)
@@ -48,4 +52,5 @@ def _without_poses(videos: Path, footage: Sequence[Footage]) -> Rig:
         for w, h in [one.size]
     ]
     sources = tuple(one.source for one in footage)
-    return Rig(videos, "videos", tuple(cameras), sources, None, min(source.frame_count for source in sources))
+    count, timeline = min(source.frame_count for source in sources), Timeline(recorded_rate(sources, None))
+    return Rig(videos, "videos", tuple(cameras), sources, None, count, timeline=timeline)

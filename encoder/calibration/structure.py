@@ -20,6 +20,7 @@ import numpy as np
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
+from decogs.formats.extras import install
 from decogs.formats.rigs.colmap import lens_parameters
 
 from .certainty import focal_deviations
@@ -79,6 +80,10 @@ class Matched:
     shared: bool
     given: Given | None = None
 
+    def without(self, number: int) -> Matched:
+        """As if a camera's pictures had nothing in common with the others'."""
+        return replace(self, pairs=[pair for pair in self.pairs if number not in (pair.first, pair.second)])
+
     def scored(self, model: Any, way: str) -> Mapped:
         """The model's cameras and their score."""
         cameras = {
@@ -96,7 +101,7 @@ def require_pycolmap() -> Any:
         import pycolmap
     except ImportError:
         raise UsageError(
-            "without a board, cameras are placed by pycolmap, which is not installed: pip install 'decogs[calibrate]'"
+            f"without a board, cameras are placed by pycolmap, which is not installed: {install('calibrate')}"
         ) from None
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, on_termination)  # pycolmap's prints a stack trace and leaves everything lying

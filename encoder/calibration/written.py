@@ -10,7 +10,7 @@ from typing import Any
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
-from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.outputs import Output, check_folder_name, check_outputs
 from decogs.formats.rigs.fields import read_json
 
 from .placed import Calibration, Placed
@@ -24,6 +24,7 @@ def check_folder(folder: Path, intrinsics: str | None, *, lenses_only: bool) -> 
 
     Raises UsageError where it did, and its lenses are the ones that are to be read.
     """
+    check_folder_name(folder)
     files = [folder / name for name in (_RIG, CALIBRATION, PAGE)]
     there = [file for file in files if file.exists()]
     if there and not _is_own(folder, lenses_only):

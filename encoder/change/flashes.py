@@ -20,7 +20,15 @@ import numpy as np
 from decogs.formats.splats import FloatArray
 
 from ..settings.frame import MaskSettings
-from .masks import CLEAR_CHANGE_LEVELS, MAX_NOISE_FRACTION, MaskMemory, PixelChange, difference_mask, usable_views
+from .masks import (
+    CLEAR_CHANGE_LEVELS,
+    MAX_NOISE_FRACTION,
+    MaskMemory,
+    PixelChange,
+    changed_fraction,
+    difference_mask,
+    usable_views,
+)
 
 _MIN_FLASH_FRACTION = 0.5
 """Least fraction of changed pixels in a flash."""
@@ -30,15 +38,20 @@ MAX_FLASH_FRAMES = 8
 """Frames after which a light counts as permanent."""
 
 
-def may_be_flash(changes: Sequence[PixelChange]) -> bool:
-    """Whether nearly everything has changed."""
+def changes_most(changes: Sequence[PixelChange]) -> bool:
+    """Whether nearly everything has changed since it was trained."""
     used = usable_views(changes)
     return bool(used) and float(np.mean([changes[index].raw.mean() for index in used])) > _MIN_FLASH_FRACTION
 
 
+def may_be_flash(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSettings) -> bool:
+    """Whether nearly everything has changed since the frame before, and not only since it was trained."""
+    return changed_fraction(pictures, memory.previous, settings) > _MIN_FLASH_FRACTION
+
+
 def matches(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSettings) -> bool:
     """Whether the ``pictures`` (3, H, W) of a frame are again those before a flash, whose ``memory`` was kept."""
-    return memory.changed_fraction(pictures, settings) < _MAX_RETURN_FRACTION
+    return changed_fraction(pictures, memory.references, settings) < _MAX_RETURN_FRACTION
 
 
 def is_missed(

@@ -6,7 +6,7 @@ and the focus region is the max-pool of M with radius r.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -150,10 +150,10 @@ def _light_fractions(
 class MaskMemory:
     """What the masks of one frame hand to the next; one entry for each view.
 
-    ``references``: pictures (3, H, W) that the next ones are compared with. ``previous``: those of the frame before.
-    ``blank``: whether the first picture shows nothing. ``trained_errors``: 8-bit levels, of a trained picture, where a
-    time budget may end training early; None elsewhere. ``light_only``: light alone changed the frame before.
-    ``subject``: the pictures are of a subject alone, which has left where all are of one colour: that is no dropout.
+    ``references``: pictures (3, H, W) that the next ones are compared with. ``previous``: those of the frame
+    before. ``blank``: whether the first picture shows nothing. ``trained_errors``: 8-bit levels, of a trained
+    picture; None where none is known. ``light_only``: light alone changed the frame before. ``subject``: the
+    pictures are of a subject alone, which has left where all are of one colour: that is no dropout.
     """
 
     references: Sequence[FloatArray]
@@ -167,7 +167,7 @@ class MaskMemory:
     def begin(
         cls, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray] | None = None, *, subject: bool = False
     ) -> MaskMemory:
-        """After a scene's first frame; ``rendered``: its renderings, if training may end early."""
+        """After a scene's first frame; ``rendered``: its renderings, None for a method that needs no masks."""
         return cls(
             references=tuple(pictures),
             previous=tuple(pictures),
@@ -177,9 +177,14 @@ class MaskMemory:
         )
 
     def pixel_changes(
-        self, pictures: Sequence[FloatArray], settings: MaskSettings, threads: int = 1
+        self,
+        pictures: Sequence[FloatArray],
+        settings: MaskSettings,
+        threads: int = 1,
+        *,
+        lost: Mapping[int, str] | None = None,
     ) -> list[PixelChange]:
-        """Where every view's picture changed.
+        """Where every view's picture changed; ``lost``: why views, by number, have none of this frame.
 
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
@@ -192,8 +197,8 @@ class MaskMemory:
         views = list(zip(pictures, self.references, strict=True))
         with side_by_side(threads) as each:
             changes = list(each(lambda view: change(*view), views))
-        reasons = self._dropouts(pictures, changes)
-        return [replace(change, lost=why) for change, why in zip(changes, reasons, strict=True)]
+        reasons = dict(enumerate(self._dropouts(pictures, changes))) | dict(lost or {})
+        return [replace(change, lost=reasons[view]) for view, change in enumerate(changes)]
 
     def masks(
         self, pictures: Sequence[FloatArray], changes: Sequence[PixelChange], settings: MaskSettings, threads: int = 1
@@ -226,8 +231,8 @@ class MaskMemory:
     ) -> MaskMemory:
         """After the regions of interest were trained; ``moved``: including positions.
 
-        ``rendered``: the scene's renderings, if training ended early. Pixels with a larger error than that of a trained
-        picture keep their reference.
+        ``rendered``: the scene's renderings, where training may have missed the pictures. Pixels with a larger error
+        than that of a trained picture keep their reference.
         """
 
         def reference(index: int) -> FloatArray:
@@ -260,11 +265,6 @@ class MaskMemory:
             references = [old if is_lost else now for now, old, is_lost in views]
         return replace(self, references=references, previous=tuple(pictures))
 
-    def changed_fraction(self, pictures: Sequence[FloatArray], settings: MaskSettings) -> float:
-        """Fraction of pixels, median over the views, that differ from the reference."""
-        pairs = zip(pictures, self.references, strict=True)
-        return float(np.median([difference_mask(*pair, settings.threshold).mean() for pair in pairs]))
-
     def _dropouts(self, pictures: Sequence[FloatArray], changes: Sequence[PixelChange]) -> list[str]:
         """Reason why each view's picture does not show its frame, or ""."""
         blank = ["" if was_blank else blankness(now) for now, was_blank in zip(pictures, self.blank, strict=True)]
@@ -292,6 +292,12 @@ class MaskMemory:
         if self.light_only or faint_light > _GLOBAL_LIGHT_FRACTION:
             return low, faint_light
         return (usual if light > _MIN_LIGHT_FRACTION else 0.0), faint_light
+
+
+def changed_fraction(pictures: Sequence[FloatArray], before: Sequence[FloatArray], settings: MaskSettings) -> float:
+    """Fraction of pixels, median over the views, that differ from those ``before``."""
+    pairs = zip(pictures, before, strict=True)
+    return float(np.median([difference_mask(*pair, settings.threshold).mean() for pair in pairs]))
 
 
 def full_masks(changes: Sequence[PixelChange]) -> list[FrameMask]:

@@ -15,14 +15,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from decogs.codec.digest import digest
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import GrowingFile, Output, check_outputs, is_device, write_whole
-from decogs.formats.rigs import Rig, files_of, open_rig
+from decogs.formats.outputs import STREAM, GrowingFile, Output, check_outputs, is_device, write_whole
+from decogs.formats.rigs import Rig, open_rig, without_cameras
 
 from ..backends import check_device
-from ..encoding import chosen_settings, wanted_effects
+from ..encoding import chosen_settings, files_of_job, source_of, wanted_effects
+from ..input.imported_keyframe import KeyframeSource
+from ..input.imported_splats import SplatSource
 from ..input.ingest import frame_span
+from ..input.mattes import open_mattes
 from ..input.recordings import is_current
 from ..input.sound import AUTO, NONE
 from ..job import EncodeJob, PathLike
@@ -56,9 +60,9 @@ def encode_on_cluster(
     stream, rig = Path(job.output), open_rig(job.rig)
     for warning in rig.warnings:
         _warn(on_warning, warning)
-    read = [] if job.keyframe is None else [(Path(job.keyframe), "is read, as `keyframe`")]
-    check_outputs([Output("output", stream, grows=True)], [*files_of(rig), *read])
     take = frame_span(rig, job.frames)
+    mattes = open_mattes(job.mattes, without_cameras(rig, job.exclude), take, job.holdout)
+    check_outputs([Output("output", stream, grows=True, format=STREAM)], files_of_job(job, rig, mattes))
     task = replace(
         job,
         rig=os.fspath(rig.path.absolute()),
@@ -81,7 +85,7 @@ def encode_on_cluster(
 
     def run(task: EncodeJob, parts: Sequence[range], key: bytes | None, files: dict[range, Path], done: int) -> None:
         """Runs parts and writes each one under its name as it comes; raises UsageError for one that cannot be."""
-        most = done
+        most, said = done, set[str]()
         for event in engine.run(task, parts, key):
             if isinstance(event, int):
                 most = max(most, done + event)
@@ -91,7 +95,9 @@ def encode_on_cluster(
             part, outcome = event
             _check(outcome)
             for warning in outcome.warnings:
-                _warn(on_warning, warning)
+                if warning not in said:
+                    _warn(on_warning, warning)
+            said.update(outcome.warnings)
             write_whole(files[part], outcome.data, expendable=partial(is_expendable, is_of_part))
 
     with engine:
@@ -129,18 +135,27 @@ def _check_resumed(key: Path, job: EncodeJob, take: range, rig: Rig) -> None:
     now: dict[str, Any] = {"frames": take, "holdout": set(job.holdout), "metrics": job.metrics}
     was |= {name: header.settings.get(name) for name in ("seed", "scale")}
     now |= {"seed": job.seed, "scale": job.scale}
+    was["keyframe"], now["keyframe"] = True, _begins_with(source_of(job), base)
     if changed := [name for name in was if was[name] != now[name]]:
         raise UsageError(
             f"{key.parent}: its encode had another `{changed[0]}`; give the same options, or delete its parts"
         )
 
 
+def _begins_with(source: KeyframeSource | SplatSource | None, base: Base) -> bool:
+    """Whether a take's first keyframe can be that of this ``source``; without any, it is none of a file's Gaussians."""
+    if isinstance(source, KeyframeSource):
+        return digest(source.state) == digest(base.source.state)
+    of_file = base.keyframe.header.settings.get("keyframe", {})
+    return of_file == source.document if source is not None else "sha256" not in of_file
+
+
 def _is_part(path: Path, *, of: Path | None = None) -> bool:
     """Whether a part is there; raises UsageError for what is no part, or none of the same take as the part ``of``."""
     if not os.path.lexists(path):
         return False
-    part = _part_at(path).part
-    if of is not None and (problem := part.difference(_part_at(of).part)):
+    base = _part_at(path)
+    if of is not None and (problem := base.difference(_part_at(of))):
         raise UsageError(f"{path}: it does not belong to {of}: {problem}; move it away, or delete it")
     return True
 

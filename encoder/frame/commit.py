@@ -90,7 +90,7 @@ def _masks_after(
     memory, settings, masks = event.memory.masks, context.settings.frame.masks, plan.selection.masks
     # Training that was rejected, or whose changes were all reverted, has made up for nothing.
     if trained is not None and masks and not same_values(event.scene.state, scene.state):
-        rendered = context.views.pictures(scene.splats) if trained.truncated else None
+        rendered = context.views.pictures(scene.splats) if trained.truncated or plan.relit else None
         moved = "motion" in plan.effects
         memory = memory.trained(frame.pictures, masks, moved=moved, rendered=rendered, threads=context.threads)
     return memory.advance(frame.pictures, masks, settings, deferred=plan.deferred)

@@ -60,7 +60,7 @@ class Context:
             ingest,
             settings,
             kernel,
-            SceneViews(kernel, cameras, ingest.rig.late if _follows_frame_by_frame(settings) else None),
+            SceneViews(kernel, cameras, ingest.rig.timeline.late() if _follows_frame_by_frame(settings) else None),
             SceneViews(kernel, lambda: fade_cameras(cameras())),
             method_of(settings),
             corrector_of(ingest.views, settings.corrections),

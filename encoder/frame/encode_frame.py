@@ -90,6 +90,7 @@ def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple
     recorded = match_colours(task.recorded, context.ingest.views, scene.header.camera_colours)
     index = recorded.index - scene.header.first_frame
     scene, memory, is_start = restart_at_segment(context, scene, memory, index, watch)
+    recorded = _without_lost(context, recorded, memory)
     if packet is not None:
         _, corrections = read_back(packet, scene.header)
     else:
@@ -102,6 +103,15 @@ def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple
     if event.kind is Kind.CUT and packet is not None:
         event = replace(event, kind=Kind.CHANGE)
     return frame, event
+
+
+def _without_lost(context: Context, frame: RigFrame, memory: Memory) -> RigFrame:
+    """The frame with the pictures before it in place of lost ones."""
+    if not frame.lost:
+        return frame
+    views = zip(context.ingest.views, frame.training, memory.masks.previous, strict=True)
+    kept = [before if view.camera.name in frame.lost else now for view, now, before in views]
+    return replace(frame, training=kept)
 
 
 def encode_change(context: Context, event: Event, frame: PendingFrame, task: Task) -> Encoded:

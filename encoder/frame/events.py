@@ -10,7 +10,7 @@ from decogs.codec.corrections import Corrections
 from decogs.formats.splats import FloatArray
 
 from ..change.cuts import shows_another_scene
-from ..change.flashes import MAX_FLASH_FRAMES, is_missed, matches, may_be_flash
+from ..change.flashes import MAX_FLASH_FRAMES, changes_most, is_missed, matches, may_be_flash
 from ..change.masks import PixelChange, usable_views
 from ..coding.scene import Scene
 from ..input.ingest import RigFrame
@@ -64,20 +64,22 @@ class Event:
 def what_happened(context: Context, scene: Scene, memory: Memory, frame: PendingFrame, watch: Stopwatch) -> Event:
     """What a frame shows, and the scene that it goes on from: the one before a flash, once that is over."""
     settings = context.settings
+    lost = frame.recorded.lost_views(context.ingest.views)
     if context.method.dense:
-        return Event(Kind.EVERYTHING, scene, memory, [])
+        kind = Kind.NOTHING if len(lost) == len(frame.pictures) else Kind.EVERYTHING
+        return Event(kind, scene, memory, [])
     with watch.stage("masks"):
         scene, memory, is_return = _after_flash(scene, memory, frame, context)
         if not settings.frame_effects:
             return Event(Kind.NOTHING, scene, memory, [], is_return)
-        changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads)
+        changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads, lost=lost)
         kind = Kind.CHANGE
         if is_missed(memory.masks, frame.pictures, context.views.pictures(scene.splats), changes):
             kind = Kind.EVERYTHING
-        elif may_be_flash(changes):
+        elif changes_most(changes):
             if _is_cut(context, memory, frame, changes):
                 return Event(Kind.CUT, scene, memory, changes, is_return)
-            if memory.before_flash is None:
+            if memory.before_flash is None and may_be_flash(memory.masks, frame.pictures, settings.frame.masks):
                 before = BeforeFlash(frame.recorded.index, scene.state, memory.motion, memory.masks)
                 memory = replace(memory, before_flash=before)
     return Event(kind, scene, memory, changes, is_return)
@@ -106,4 +108,6 @@ def _is_cut(context: Context, memory: Memory, frame: PendingFrame, changes: Sequ
         or len(usable_views(changes)) < len(changes)
     ):
         return False
-    return shows_another_scene(frame.pictures, memory.masks.references)
+    # References whose pixels are of several frames have edges of their own.
+    before = (memory.masks.references, memory.masks.previous)
+    return all(shows_another_scene(frame.pictures, pictures) for pictures in before)

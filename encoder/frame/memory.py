@@ -74,9 +74,7 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(
-            frame.training, rendered if settings.time_budget is not None else None, subject=bool(frame.alpha)
-        ),
+        MaskMemory.begin(frame.training, rendered, subject=bool(frame.alpha)),
         Motion.at_rest(len(scene.state)),
         corrections,
         None if budget is None else RateControl(budget, settings.segment),

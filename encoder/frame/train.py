@@ -58,6 +58,8 @@ def _train(context: Context, event: Event, plan: FramePlan, frame: PendingFrame,
         plan.settings,
         context.stopping(deadline),
         _free_space(context, event, plan, frame),
+        frame.recorded.lost_views(context.ingest.views).keys(),
+        plan.relit,
     )
     with watch.stage("training"):
         if not context.method.dense:

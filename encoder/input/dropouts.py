@@ -7,7 +7,7 @@ encoded.
 Chosen: two signs that need no setting. A picture is *blank* when it is one colour all over up to noise, unlike
 earlier ones of its camera; it is *frozen* when it repeats the camera's picture before it bit for bit while most
 cameras show a change: no sensor does that, but recorders fill a gap so. A lamp that is switched on changes all pixels,
-and is to be seen.
+and is to be seen. A picture that cannot be had at all is lost without a sign (``RigFrame.lost``).
 """
 
 from __future__ import annotations

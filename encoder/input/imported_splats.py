@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
+from decogs.formats.container import SIGNATURE
 from decogs.formats.errors import UsageError
+from decogs.formats.regular_files import open_regular
 from decogs.formats.splat_files import Room
 from decogs.formats.splat_files.reading import READABLE, SplatFile, read_splats
 
@@ -42,8 +45,13 @@ class SplatSource:
 
 
 def is_splat_file(path: str | os.PathLike[str]) -> bool:
-    """Whether a keyframe of this name is a file of Gaussians, not a stream."""
-    return Path(path).suffix.lower() in READABLE
+    """Whether a keyframe is a file of Gaussians, of a kind that is read or another, not a stream."""
+    suffix = Path(path).suffix.lower()
+    if suffix in (*READABLE, ".dgs"):
+        return suffix != ".dgs"
+    with suppress(OSError), open_regular(Path(path)) as file:
+        return file.read(len(SIGNATURE)) != SIGNATURE
+    return False
 
 
 def read_splat_source(path: str | os.PathLike[str], max_memory: int | None = None) -> SplatSource:

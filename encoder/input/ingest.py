@@ -69,7 +69,8 @@ class RigFrame:
     ``alpha``: of each training view, (H, W) float32 0..1, how much of a pixel the subject covers; none without mattes.
     ``held_out_alpha``: the same of the held-out views, None for those without a matte. ``plates``: of each training
     view the backdrop alone, as a picture, where a clean one was given; else none. ``worn``: of each training view the
-    share of the subject that has the screen's colour; none without a key.
+    share of the subject that has the screen's colour; none without a key. ``lost``: why a camera, by name, has no
+    picture of this frame, or none that can be cut out; what stands in its place shows nothing.
     """
 
     index: int
@@ -81,6 +82,12 @@ class RigFrame:
     held_out_alpha: Sequence[FloatArray | None] = ()
     plates: Sequence[FloatArray] = ()
     worn: Sequence[float] = ()
+    lost: Mapping[str, str] = field(default_factory=dict)
+
+    def lost_views(self, views: Sequence[View]) -> dict[int, str]:
+        """Why views, by number, have no picture of this frame."""
+        names = [view.camera.name for view in views]
+        return {names.index(name): why for name, why in self.lost.items() if name in names}
 
 
 class Ingest:
@@ -138,6 +145,11 @@ class Ingest:
         """Whether frames come with alpha."""
         return self._mattes.cuts
 
+    @property
+    def matte_warnings(self) -> tuple[str, ...]:
+        """What the user should know of the mattes' files, a line each."""
+        return () if self._mattes.rig is None else self._mattes.rig.warnings
+
     def matte_place(self, name: str, frame: int) -> str:
         """Where the matte of a camera and frame comes from, for a message."""
         return self._mattes.place(name, frame)
@@ -163,15 +175,38 @@ class Ingest:
         self.views = [self._view(name) for name in self._names]
         self.held_out_views = [self._view(name) for name in self._held_names]
 
-    def frames(self, start: int, stop: int) -> Iterator[RigFrame]:
-        """The rig's frames [start, stop) in order, one at a time."""
+    def frames(self, start: int, stop: int, *, first: int | None = None) -> Iterator[RigFrame]:
+        """The rig's frames [start, stop) in order, one at a time.
+
+        ``first``: the take's first frame, if that is not ``start``. Raises RigError for what is wrong in that one; in
+        later ones such a view is ``lost``, as a held-out one that cannot be cut out is in any frame.
+        """
         names, count = [*self._names, *self._held_names], len(self._names)
-        given = self._mattes.given(names, start, stop)
+        first = start if first is None else first
+        lost: dict[str, str] = {}
+
+        def lose(index: int, name: str, error: RigError) -> None:
+            if index == first:
+                raise error
+            lost.setdefault(name, str(error))
+
+        def cut_out(name: str, picture: Picture, matte: FloatArray | None) -> Cut:
+            if name not in lost:
+                try:
+                    return self._mattes.cut(name, picture, matte)
+                except RigError as error:
+                    if name in self._held_names:
+                        lost[name] = str(error)
+                    else:
+                        lose(index, name, error)
+            return Cut(picture, np.zeros(picture.shape[:2], np.float32) if self.has_mattes else None)
+
+        shown = read_frames(self.rig, start, stop, names=names, on_lost=lose)
+        given = self._mattes.given(names, start, stop, lose)
         # Not strict: a recording may end before.
-        for (index, pictures), mattes in zip(read_frames(self.rig, start, stop, names=names), given, strict=False):
+        for (index, pictures), mattes in zip(shown, given, strict=False):
             recorded = self._digests(pictures, mattes) if index == start else {}
-            shown = zip(names, pictures, strict=True)
-            cut = [self._mattes.cut(name, picture, mattes.get(name)) for name, picture in shown]
+            cut = [cut_out(name, picture, mattes.get(name)) for name, picture in zip(names, pictures, strict=True)]
             planes = [self._prepare(name, each.picture) for name, each in zip(names, cut, strict=True)]
             alphas = [self._alpha(name, each) for name, each in zip(names, cut, strict=True)]
             held_out = zip(self._held_names, pictures[count:], strict=True)
@@ -186,7 +221,9 @@ class Ingest:
                 alphas[count:] if self._mattes.cuts else (),
                 self._plates,
                 [] if self._mattes.key is None else [each.worn for each in cut[:count]],
+                dict(lost),
             )
+            lost.clear()
             yield frame if self.background is None else _composited(frame, self.background)
 
     def _digests(self, pictures: Sequence[Picture], mattes: Mapping[str, FloatArray]) -> dict[str, str]:

@@ -126,5 +126,5 @@ def _check_not_black(frame: RigFrame, views: Sequence[View]) -> None:
             name = view.camera.name
             raise RigError(
                 f"camera {name} is black in frame {frame.index}; a keyframe needs every camera: start at a "
-                f"later frame (`frames`) or hold the camera out (`holdout` {name})"
+                f"later frame (`frames`) or leave the camera out (`exclude` {name})"
             )

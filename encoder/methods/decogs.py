@@ -20,6 +20,7 @@ from ..training.emergence import add_emerging_in_time
 from ..training.frame_training import FrameTraining, LossOfView, Step, frame_training
 from ..training.losses import focus_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
+from ..training.relighting import relight
 from ..training.schedule import MAX_STRETCH, SearchTime, StepSchedule, iteration_factor, rates_at, seconds_at_least
 from ..training.selective_densification import densify
 from ..training.significance import revert_insignificant
@@ -58,6 +59,8 @@ class DecogsTrainer:
         probes = self._probes(training)
         before = training.squared_error(probes)
         _start_warm(work, frame)
+        if frame.relit:
+            relight(training, work)
         factor = _iteration_factor(training, work, probes)
         schedule = StepSchedule(frame.settings.joint_iterations, frame.stopping.deadline, factor=factor)
         growth = _Growth(training, work, self._search)

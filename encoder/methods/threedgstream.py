@@ -74,14 +74,17 @@ class BaselineTrainer:
         self._kernel, self._views, self._config = context.kernel, context.views, config
         self._population, self._extent, self._box = context.population, context.extent, context.box
         self._seed = context.seed
-        self._cache = TransformationCache(*self._box, config.cache, self._seed, threads=context.threads)
+        self._cache = TransformationCache(
+            *self._box, config.cache, self._seed, extent=self._extent, threads=context.threads
+        )
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains all Gaussians; S_t, masks, motion, the frame's settings and an early end have no part in it."""
         scene, pictures = frame.scene, frame.pictures
         self._on_loss = frame.stopping.on_loss
         self._random = np.random.default_rng((self._seed, frame.index))
-        self._order = view_order(len(self._views), self._random)
+        shown = [view for view in range(len(self._views)) if view not in frame.lost]
+        self._order = (shown[place] for place in view_order(len(shown), self._random))
         losses = [
             whole_picture_loss(picture, view.valid, DISSIMILARITY)
             for picture, view in zip(pictures, self._views, strict=True)

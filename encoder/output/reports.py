@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 OnFrame = Callable[["FrameReport"], None]
 OnKeyframeStep = Callable[[int, int, float], None]
 """Called with the step (from 1), the number of steps planned and the training loss."""
+_MAX_REASONS = 4
+"""Reasons why one camera was left out that are listed each; of more, the first one stands for all."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class FrameReport:
     ``replayed``: the frame was written by an earlier encode. ``effects``: those that it was trained for; none for a
     first frame, a replayed one and a deferred one, which a time budget leaves untrained.
     ``left_out``: cameras without a usable picture of the frame, and why (`input.dropouts`).
-    ``dropped``: cameras of a recording that goes on that had no picture of the frame, and why; the one before counts.
+    ``dropped``: cameras that had no picture of the frame, or none that can be cut out, and why.
     ``rejected``: training made the pictures worse, so the scene was kept.
     ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".
     ``full_frame_change``: the masks found no change although most of the pictures had changed; every Gaussian was
@@ -73,3 +76,30 @@ class EncodeReport:
     time_budget: float | None = None
     part: range | None = None
     held_out_sizes: dict[str, tuple[tuple[int, int], tuple[int, int]]] = field(default_factory=dict)
+
+
+def left_out_warnings(frames: Sequence[FrameReport]) -> Iterator[str]:
+    """A line for every camera and reason, with the frames that the camera had no part in."""
+    found: dict[str, dict[str, list[int]]] = {}
+    for frame in frames:
+        why = {name: f"its picture is {why}" for name, why in frame.left_out.items()} | frame.dropped
+        for name, reason in why.items():
+            found.setdefault(name, {}).setdefault(reason, []).append(frame.frame)
+    for name, reasons in found.items():
+        if len(reasons) > _MAX_REASONS:
+            first = f"{next(iter(reasons))} (and {len(reasons) - 1} more such)"
+            reasons = {first: sorted(chain.from_iterable(reasons.values()))}
+        for reason, numbers in reasons.items():
+            yield f"camera {name} was left out of {frames_text(numbers)}: {reason}"
+
+
+def frames_text(numbers: Sequence[int]) -> str:
+    """ "frames 3 to 5, 9" for ascending numbers."""
+    runs: list[list[int]] = []
+    for frame in numbers:
+        if runs and frame == runs[-1][1] + 1:
+            runs[-1][1] = frame
+        else:
+            runs.append([frame, frame])
+    text = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
+    return f"frame{'s'[: len(numbers) > 1]} {text}"

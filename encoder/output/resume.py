@@ -26,6 +26,7 @@ from decogs.formats.container import (
     read_packet_at,
 )
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.regular_files import open_regular
 
 from ..input.recordings import difference
 from ..settings.encode import EncodeSettings
@@ -64,7 +65,11 @@ IsSuch = Callable[[StreamHeader, int], bool]
 
 @dataclass(frozen=True)
 class Interrupted:
-    """The whole frames of a stream, of which ``size`` bytes are to be kept; ``ended``: the stream was finished."""
+    """The whole frames of a stream, of which ``size`` bytes are to be kept; ``ended``: the stream was finished.
+
+    ``metrics``: whether each frame's PSNR is behind it; None where only the last frame is there, behind which all is
+    written again.
+    """
 
     path: Path
     header: StreamHeader
@@ -72,6 +77,7 @@ class Interrupted:
     entries: tuple[IndexEntry, ...]
     size: int
     ended: bool
+    metrics: bool | None = None
 
     def packets(self) -> Iterator[Packet]:
         """The frames' packets, in order."""
@@ -85,6 +91,11 @@ class Interrupted:
             self._refuse(problem)
         if len(self.entries) > frames:
             self._refuse(f"already holds {len(self.entries)} frames, this encode has {frames}")
+
+    def check_metrics(self, wanted: bool) -> None:
+        """Raises UsageError where the frames that are kept have the figures that are not ``wanted``, or lack them."""
+        if self.metrics not in (None, wanted):
+            self._refuse(f"was begun {'with' if self.metrics else 'without'} `metrics`")
 
     def check_recordings(self, recorded: Mapping[str, str], first: int) -> None:
         """Raises UsageError when frame ``first``, with which this encode begins, has other pictures than the stream's.
@@ -140,8 +151,8 @@ def check_resumable(settings: EncodeSettings) -> None:
 
 def _read(path: Path) -> Interrupted | None:
     entries: list[IndexEntry] = []
-    header, size, ended = b"", 0, False
-    with path.open("rb") as file:
+    header, size, ended, kept, last = b"", 0, False, False, False
+    with open_regular(path) as file:
         reader = PacketReader(file)
         try:
             while (packet := reader.next()) is not None:
@@ -150,6 +161,9 @@ def _read(path: Path) -> Interrupted | None:
                 elif packet.kind in FRAME_KINDS:
                     entries.append(IndexEntry(packet.offset, packet.frame, packet.kind))
                     size = packet.offset + packet.size
+                    kept |= last
+                elif packet.kind == PacketKind.METRICS:
+                    last = True
                 elif packet.kind == PacketKind.END:
                     check_count(packet, len(entries))
                     ended = True
@@ -157,7 +171,8 @@ def _read(path: Path) -> Interrupted | None:
             pass  # A power cut can leave more than a short packet; it is encoded again from there.
     if not entries:
         return None
-    return Interrupted(path, StreamHeader.from_bytes(header), header, tuple(entries), size, ended)
+    metrics = kept if len(entries) > 1 else None
+    return Interrupted(path, StreamHeader.from_bytes(header), header, tuple(entries), size, ended, metrics)
 
 
 def difference_of_headers(was: bytes, now: bytes, other: str = "this encode has") -> str:

@@ -11,10 +11,11 @@ from decogs.codec.reconstruct import reconstruct
 from decogs.formats.container import FRAME_KINDS, IndexEntry, Packet, PacketKind, PacketReader
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
+from decogs.formats.regular_files import open_regular
 
 from ..analysis import AUTO, EFFECT_NAMES, EffectChoice, disable, with_effects
 from ..input.imported_keyframe import KeyframeSource
-from ..output.resume import Interrupted, difference_of
+from ..output.resume import Interrupted, difference_of, difference_of_headers
 from ..settings.effects import CorrectionSettings
 from ..settings.encode import EncodeSettings
 from ..settings.reading import read_settings
@@ -46,6 +47,18 @@ class Base:
         """The first keyframe's Gaussians; raises StreamError for a damaged one."""
         header = self.keyframe.header
         return KeyframeSource(self.keyframe.path, header, reconstruct(None, self.packet, header))
+
+    def difference(self, other: Base) -> str:
+        """What makes two parts belong to different encodes: a few words; empty if nothing does."""
+        if problem := self.part.difference(other.part):
+            return problem
+        mine, others = self.keyframe, other.keyframe
+        if problem := difference_of(mine.header.settings, others.header.settings, "the other one has"):
+            return f"it {problem}"
+        if self.packet.payload != other.packet.payload:
+            return "it starts from another first keyframe"
+        problem = difference_of_headers(mine.header_payload, others.header_payload, "the other one has")
+        return problem and f"it {problem}"
 
     def check(self, part: Part) -> None:
         """Raises UsageError unless ``part`` is of the same take, from the same input, made with the same releases."""
@@ -95,7 +108,7 @@ def read_base(path: Path) -> Base | None:
 
 def _header_and_keyframe(path: Path) -> tuple[StreamHeader, Packet]:
     header = None
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         reader = PacketReader(file)
         while (packet := reader.next()) is not None:
             if packet.kind == PacketKind.HEADER:

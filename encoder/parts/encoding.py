@@ -68,7 +68,7 @@ def encode_part(
             if base is not None:
                 out.begin(base.keyframe.header_payload)
                 out.write(base.packet.kind, 0, base.packet.payload)
-            given = chain([first], ingest.frames(own.start, read.stop))
+            given = chain([first], ingest.frames(own.start, read.stop, first=take.start))
             for report in islice(encoder.encode(given, take.start, earlier), 1 + len(own)):
                 reports.append(report)
                 if report.frame in frames:

@@ -14,7 +14,7 @@ from decogs.codec.header import StreamHeader
 from decogs.formats.callbacks import OnProgress
 from decogs.formats.container import FRAME_KINDS, Packet, PacketKind, PacketReader, check_count, check_frame
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.outputs import STREAM, Output, check_outputs
 from decogs.formats.regular_files import open_regular
 
 from ..output.resume import difference_of, difference_of_headers
@@ -59,7 +59,8 @@ def join(
     """
     paths = [Path(path) for path in parts]
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
-    check_outputs([Output("output", stream, grows=True)], [(path, "is read, as one of the parts") for path in paths])
+    output_file = Output("output", stream, grows=True, format=STREAM)
+    check_outputs([output_file], [(path, "is read, as one of the parts") for path in paths])
     files = _in_order([_check_part(path) for path in paths])
     header, total = files[0].header, len(files[0].part.take)
 

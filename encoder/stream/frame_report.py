@@ -8,7 +8,6 @@ from statistics import fmean
 from decogs.decoder.views import render_view
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import PacketKind
-from decogs.formats.rigs import dropped_in
 from decogs.formats.splats import FloatArray
 
 from ..change.masks import usable_views
@@ -56,7 +55,7 @@ class FrameReporter:
                 for view, mask in zip(views, outcome.selection.masks, strict=False)
                 if mask.lost
             },
-            dropped=dropped_in(context.ingest.rig, frame.index),
+            dropped=dict(frame.lost),
             rejected=outcome.rejected,
             uncorrected=list(outcome.uncorrected),
             full_frame_change=outcome.full_frame_change,
@@ -81,8 +80,10 @@ class FrameReporter:
                 self._on_warning(warning_of(origin, encoded.pictures.index, cameras))
 
     def _used(self, encoded: Encoded) -> Sequence[int]:
-        """The views whose pictures show the frame; all if there are none."""
-        return usable_views(encoded.outcome.selection.masks) or range(len(self._context.ingest.views))
+        """The views whose pictures show the frame; if there are none, all that have one; else those that stand in."""
+        views, masks = self._context.ingest.views, encoded.outcome.selection.masks
+        lost = encoded.pictures.lost_views(views)
+        return usable_views(masks) or [view for view in range(len(views)) if view not in lost] or range(len(views))
 
     def _training_psnr(self, encoded: Encoded) -> float:
         used, views = self._used(encoded), self._context.ingest.views
@@ -91,27 +92,29 @@ class FrameReporter:
         return mean_picture_psnr([views[i] for i in used], rendered, pictures, threads=self._context.threads)
 
     def _held_out_psnr(self, encoded: Encoded) -> float | None:
-        """PSNR of the held-out views; of a subject alone, of those with a matte; None without one."""
+        """PSNR of the held-out views with a picture; of a subject alone, of those with a matte; None without one."""
         ingest, frame = self._context.ingest, encoded.pictures
         alphas = frame.held_out_alpha or [None] * len(frame.held_out)
         every = zip(ingest.held_out_views, frame.held_out, alphas, strict=True)
-        compared = [(view, picture) for view, picture, alpha in every if ingest.background is None or alpha is not None]
+        compared = [
+            (view, picture)
+            for view, picture, alpha in every
+            if (ingest.background is None or alpha is not None) and view.camera.name not in frame.lost
+        ]
         if not compared:
             return None
         return mean_psnr(self._context.kernel, encoded.scene.splats, *map(list, zip(*compared, strict=True)))
 
     def _own_size_psnr(self, encoded: Encoded) -> float | None:
-        """PSNR of the held-out cameras' decoded views at their own size; None without a scale."""
-        frame, scene = encoded.pictures, encoded.scene
-        if not frame.own_size:
-            return None
-        views = [view.camera.name for view in self._context.ingest.held_out_views]
-        return fmean(
-            psnr_of(
-                square_error(render_view(scene.header, scene.splats, name, threads=self._context.threads).image, own)
-            )
-            for name, own in zip(views, map(display_referred, frame.own_size), strict=True)
-        )
+        """PSNR of the decoded views of held-out cameras with a picture, at their own size; None without a scale."""
+        frame, scene, threads = encoded.pictures, encoded.scene, self._context.threads
+        names = [view.camera.name for view in self._context.ingest.held_out_views] if frame.own_size else []
+        values = [
+            psnr_of(square_error(render_view(scene.header, scene.splats, name, threads=threads).image, own))
+            for name, own in zip(names, map(display_referred, frame.own_size), strict=True)
+            if name not in frame.lost
+        ]
+        return fmean(values) if values else None
 
     def _rendered(self, encoded: Encoded, used: Sequence[int]) -> list[FloatArray]:
         """The scene rendered through these views, (3, H, W) each."""

@@ -44,6 +44,7 @@ def encode_stream(
         resumed = (0 if left is None else len(left.entries)) if resume else None
         earlier = Earlier()
         if left is not None:
+            left.check_metrics(options.metrics)
             left.check_recordings(next(ingest.frames(span.start, span.start + 1)).recorded, span.start)
             encoder.take_over(left, span)
             done = range(span.start, span.start + len(left.entries))
@@ -62,8 +63,8 @@ def encode_stream(
                 reports.append(report)
                 if len(reports) >= (resumed or 0):  # what was behind the last frame that was left is cut off
                     sound.write(report.frame - span.start)
-                if options.metrics:
-                    write_metrics(target, report.frame - span.start, report)
+                    if options.metrics:
+                        write_metrics(target, report.frame - span.start, report)
                 if options.on_frame:
                     options.on_frame(report)
             target.open()

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from decogs.formats.chapters import chapters_from
 from decogs.formats.length_units import metres_of
-from decogs.formats.rigs import FrameSource, Rig, in_step
-from decogs.formats.rigs.sources import CutSource
+from decogs.formats.rigs import Rig, in_step
+from decogs.formats.rigs.timeline import RigIndex, RigTime, Timeline
 from decogs.formats.soundtracks import Sound, read_sound
 from decogs.formats.videos import VideoSource
 
@@ -47,16 +48,16 @@ class Drift:
         return 1 + self.frames / self.between
 
 
-def find_drifts(rig: Rig, starts: Mapping[str, float], each: Each) -> dict[str, Drift]:
-    """The cameras whose clocks run apart from most others', of recordings whose ``starts`` are known, in frames.
+def find_drifts(rig: Rig, starts: Mapping[str, RigTime], each: Each) -> dict[str, Drift]:
+    """The cameras whose clocks run apart from most others', of recordings whose ``starts`` are known.
 
     Empty where the common span is short, or nothing tells.
     """
     common = in_step(rig, starts)
-    if common.fps is None or common.frame_count < max(MIN_SECONDS * common.fps, 2 * MAX_FRAMES):
+    if common.timeline.rate is None or common.frame_count < max(MIN_SECONDS * common.timeline.rate, 2 * MAX_FRAMES):
         return {}
     found: dict[str, Drift] = {}
-    listened = round(_LISTENED * common.fps)
+    listened = round(_LISTENED * common.timeline.rate)
     for way, window in ((_by_motion, MAX_FRAMES), (_by_sound, listened)):  # what sound says counts more
         between = common.frame_count - window
         begin, end = (way(common, range(at, at + window), each) for at in (0, between))
@@ -64,14 +65,15 @@ def find_drifts(rig: Rig, starts: Mapping[str, float], each: Each) -> dict[str, 
     return {name: drift for name, drift in found.items() if abs(drift.frames) > _NOTICED}
 
 
-def said(drifts: Mapping[str, Drift], rate: float) -> Iterator[str]:
+def said(drifts: Mapping[str, Drift], timeline: Timeline) -> Iterator[str]:
     """A warning for each: by how much, and how to mend it."""
     for name, drift in drifts.items():
+        seconds = float(timeline.seconds_of(drift.between))
         how, millionths = "slow" if drift.frames > 0 else "fast", abs(drift.scale - 1) * 1e6
         yield (
-            f"camera {name}: its clock is {how} by {abs(drift.frames):.1f} frames in {drift.between / rate:.0f} s "
+            f"camera {name}: its clock is {how} by {abs(drift.frames):.1f} frames in {seconds:.0f} s "
             f"({millionths:.0f} in a million); bring its pictures to the others' clock "
-            f"(ffmpeg -itsscale {drift.scale:.6f} -i VIDEO -r {rate:g} ...), or use a shorter take"
+            f"(ffmpeg -itsscale {drift.scale:.6f} -i VIDEO -r {timeline.rate} ...), or use a shorter take"
         )
 
 
@@ -94,17 +96,18 @@ def _by_motion(rig: Rig, frames: range, each: Each) -> Joint:
 
 
 def _by_sound(rig: Rig, frames: range, each: Each) -> Joint:
-    sounds = list(each(lambda source: _sound(source, frames), rig.sources))
+    sounds = list(each(lambda camera: _sound(rig, camera.name, frames), rig.cameras))
     heard = starts_by_sound(rig.cameras, sounds, metres_of(rig.length_unit))
-    rate = rig.fps or 1.0
+    rate = float(rig.timeline.rate or 1)
     # The way of the sound is the same at both ends, so that only the onsets' own error counts.
     return Joint(heard.starts * rate, np.zeros(len(sounds)), heard.votes)
 
 
-def _sound(source: FrameSource, frames: range) -> Sound | None:
+def _sound(rig: Rig, camera: str, frames: range) -> Sound | None:
     """What a camera heard meanwhile, from the first of these frames on."""
-    video, first, step = (source.source, source.first, source.step) if isinstance(source, CutSource) else (source, 0, 1)
+    video, clock = rig.recording(camera), rig.timeline.clock(camera)
     if not isinstance(video, VideoSource) or video.fps is None:
         return None
-    begin, end = ((first + at * step) / video.fps for at in (frames.start, frames.stop))
-    return read_sound(video.path, end - begin, begin)
+    begin, end = (clock.recorded_index(RigIndex(at)) for at in (frames.start, frames.stop))
+    chapters, first = chapters_from(video, begin)
+    return read_sound(chapters[0].path, (end - begin) / video.fps, first / video.fps)

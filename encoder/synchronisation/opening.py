@@ -30,12 +30,14 @@ def open_synchronised(
         return open_rig(path)
     recordings = open_recordings(path)
     warnings: tuple[str, ...] = ()
+    read: tuple[Path, ...] = ()
     if sync == AUTO:
         found = find_starts(recordings, threads=threads, on_step=on_step)
         starts, warnings = found.starts, found.warnings
     else:
-        starts = read_starts(Path(sync), recordings)
+        read = (Path(sync),)
+        starts = read_starts(*read, recordings)
     if not starts:
         warnings += (f"{recordings.path}: nothing says when its cameras start; they are taken to be in step",)
     rig = in_step(recordings, starts)
-    return replace(rig, warnings=(*rig.warnings, *warnings))
+    return replace(rig, warnings=(*rig.warnings, *warnings), calibration=(*rig.calibration, *read))

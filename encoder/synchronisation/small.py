@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.pictures import Picture
-from decogs.formats.rigs import FrameSource
+from decogs.formats.rigs import FrameSource, read_repeating
 
 from ..input.ingest import display_referred
 
@@ -28,8 +28,8 @@ def small_camera(camera: Camera) -> Camera:
 
 
 def small_clip(source: FrameSource, frames: range, camera: Camera) -> Iterator[U8]:
-    """Pictures of a recording, grey and at a small camera's size."""
-    for picture in source.read(frames.start, frames.stop, frames.step):
+    """Pictures of a recording, grey and at a small camera's size; one that cannot be read is as the one before."""
+    for picture in read_repeating(source, frames):
         yield small_grey(picture, camera)
 
 

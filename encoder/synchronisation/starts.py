@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,8 @@ from decogs.formats.cameras import Camera
 from decogs.formats.length_units import metres_of
 from decogs.formats.rigs import FrameSource, Rig
 from decogs.formats.rigs.rig import usual
-from decogs.formats.rigs.steps import common_rate, steps_of
+from decogs.formats.rigs.steps import steps_of
+from decogs.formats.rigs.timeline import RigTime
 from decogs.formats.soundtracks import Sound, read_sound
 from decogs.formats.videos import VideoSource
 
@@ -64,16 +66,18 @@ class CameraStart:
 
 @dataclass(frozen=True)
 class Synchrony:
-    """The starts of all cameras, in frames of ``fps`` (None where no rate is known), and what the user should know."""
+    """The starts of all cameras, in frames of the rig, of which ``fps`` are a second as they were recorded (None where
+    no rate is known), and what the user should know.
+    """
 
     fps: float | None
     cameras: tuple[CameraStart, ...]
     warnings: tuple[str, ...] = ()
 
     @property
-    def starts(self) -> dict[str, float]:
+    def starts(self) -> dict[str, RigTime]:
         """By camera, those that are known."""
-        return {camera.name: camera.offset for camera in self.cameras if camera.offset is not None}
+        return {camera.name: RigTime(camera.offset) for camera in self.cameras if camera.offset is not None}
 
 
 def find_starts(rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done, total: None) -> Synchrony:
@@ -81,8 +85,8 @@ def find_starts(rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done
 
     Raises RigError for what cannot be read, or for rates that have no common one.
     """
-    rate = common_rate(rig)
     cameras, total = rig.cameras, 2 * len(rig.cameras)
+    names = [camera.name for camera in cameras]
     steps = steps_of(rig)
     with side_by_side(threads) as each:
         sounds = []
@@ -94,28 +98,30 @@ def find_starts(rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done
             small_clip(*own) for own in zip(rig.sources, map(_first_frames, rig.sources, steps), small, strict=True)
         ]
         moved = starts_by_motion(small, clips, each, lambda done: on_step(len(cameras) + done, total))
-        found = [*_without_pictures(rig, rate, sounds), (MOTION, whole_if_in_step(moved))]
-        together = joined([camera.name for camera in cameras], rate, found)
+        found, warnings = _without_pictures(rig, sounds)
+        together = joined(names, rig.timeline.rate, [*found, (MOTION, whole_if_in_step(moved))])
         drifts = find_drifts(rig, together.starts, each) if together.starts else {}
-    return replace(together, warnings=(*together.warnings, *said(drifts, rate or 1.0)))
+    return replace(together, warnings=(*warnings, *together.warnings, *said(drifts, rig.timeline)))
 
 
 def find_starts_without_poses(rig: Rig, *, threads: int = 0) -> Synchrony:
     """The same by timecode and sound alone, which need no poses. Raises RigError as `find_starts`."""
-    rate = common_rate(rig)
     steps_of(rig)
     with side_by_side(threads) as each:
         sounds = list(each(_sound, rig.sources))
-    return joined([camera.name for camera in rig.cameras], rate, _without_pictures(rig, rate, sounds))
+    found, warnings = _without_pictures(rig, sounds)
+    together = joined([camera.name for camera in rig.cameras], rig.timeline.rate, found)
+    return replace(together, warnings=(*warnings, *together.warnings))
 
 
-def _without_pictures(rig: Rig, rate: float | None, sounds: Sequence[Sound | None]) -> list[tuple[str, Joint]]:
-    """What timecode and sound say, in frames of ``rate``."""
-    found = [(TIMECODE, starts_by_timecode(rig, rate))]
-    if rate is not None:
-        heard = starts_by_sound(rig.cameras, sounds, metres_of(rig.length_unit))
-        found.append((AUDIO, Joint(heard.starts * rate, heard.errors * rate, heard.votes)))
-    return found
+def _without_pictures(rig: Rig, sounds: Sequence[Sound | None]) -> tuple[list[tuple[str, Joint]], tuple[str, ...]]:
+    """What timecode and sound say, and warnings; nothing of recordings without a rate."""
+    if rig.timeline.rate is None:
+        return [], ()
+    by_timecode, warnings = starts_by_timecode(rig)
+    heard, rate = starts_by_sound(rig.cameras, sounds, metres_of(rig.length_unit)), float(rig.timeline.rate)
+    by_sound = Joint(heard.starts * rate, heard.errors * rate, heard.votes)
+    return [(TIMECODE, by_timecode), (AUDIO, by_sound)], warnings
 
 
 def frames_late(cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]], each: Each) -> F64:
@@ -152,7 +158,7 @@ def whole_if_in_step(joint: Joint) -> Joint:
     return replace(joint, starts=starts)
 
 
-def joined(names: Sequence[str], rate: float | None, found: Sequence[tuple[str, Joint]]) -> Synchrony:
+def joined(names: Sequence[str], rate: Fraction | None, found: Sequence[tuple[str, Joint]]) -> Synchrony:
     """What the ways say together, the first ones first; the earliest camera starts at 0."""
     offsets, methods = np.full(len(names), np.nan), list[str | None]([None] * len(names))
     confidences = np.zeros(len(names))
@@ -175,7 +181,7 @@ def joined(names: Sequence[str], rate: float | None, found: Sequence[tuple[str, 
         else CameraStart(name, None, 0.0, None)
         for name, offset, confidence, method in zip(names, offsets, confidences, methods, strict=True)
     ]
-    return Synchrony(rate, tuple(cameras), tuple(warnings))
+    return Synchrony(None if rate is None else float(rate), tuple(cameras), tuple(warnings))
 
 
 def _contradictions(

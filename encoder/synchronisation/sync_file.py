@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
+from fractions import Fraction
 from pathlib import Path
 
 from decogs.formats.errors import RigError
+from decogs.formats.frame_rates import exact_rate
 from decogs.formats.rigs import Rig
 from decogs.formats.rigs.fields import Fields, read_json
-from decogs.formats.rigs.steps import MAX_START, common_rate
+from decogs.formats.rigs.steps import MAX_START
+from decogs.formats.rigs.timeline import RigTime
 
 from .starts import Synchrony
 
@@ -25,17 +27,12 @@ def sync_document(found: Synchrony) -> str:
     return json.dumps({"fps": found.fps, "cameras": cameras}, indent=1) + "\n"
 
 
-def read_starts(path: Path, rig: Rig) -> dict[str, float]:
-    """The starts that a file states of a rig's cameras, in frames of the rig's rate. Raises RigError."""
+def read_starts(path: Path, rig: Rig) -> dict[str, RigTime]:
+    """The starts that a file states of a rig's cameras, in frames of the rate that it states. Raises RigError."""
     fields = read_json(path)
-    rate = common_rate(rig)
-    scale = 1.0
-    if "fps" in fields and rate is not None:
-        fps = fields.number("fps")
-        if not (math.isfinite(fps) and fps > 0):
-            raise fields.wrong("fps", f"is {fps:g}, not a frame rate")
-        scale = rate / fps
-    names, starts = {camera.name for camera in rig.cameras}, dict[str, float]()
+    has_rate = "fps" in fields and rig.timeline.rate is not None
+    second = exact_rate(fields.rate("fps")) if has_rate else None
+    names, starts = {camera.name for camera in rig.cameras}, dict[str, RigTime]()
     seen = set[str]()
     for record in fields.records("cameras"):
         name = record.label("name")
@@ -45,7 +42,8 @@ def read_starts(path: Path, rig: Rig) -> dict[str, float]:
             raise record.wrong("name", f"is {name!r} for the second time")
         seen.add(name)
         if "offset" in record:
-            starts[name] = _offset(record) * scale
+            offset = Fraction(_offset(record))
+            starts[name] = RigTime(float(offset)) if second is None else rig.timeline.time_of(offset / second)
     return starts
 
 

@@ -1,8 +1,8 @@
 """The losses of the keyframe and of later frames, as weights for the kernel's fused L1 + SSIM.
 
 Lambda is 0.2 as in 3DGS. The paper does not publish beta1 and beta2. They only weigh pixels outside the focus against
-pixels inside, since Adam ignores the loss's scale. The choice of 0.2 and 0.8 is arbitrary: values from 1 and 0 to 0 and
-1 make no difference (DESIGN.md).
+pixels inside, since Adam ignores the loss's scale. The choice is 0.2 and 0.8: the whole picture alone, 1 and 0, gains
+.17 dB for 54 % more bytes, the focus alone loses .04 dB (report/choices.md).
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ keyframe, the views, the rasteriser and the lattice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -62,7 +62,8 @@ class FrameInput:
     them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view,
     colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
     displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``free``: the frame's
-    empty space, where it is known.
+    empty space, where it is known. ``lost``: views, by number, that have no picture of this frame; what is in its place
+    must not teach. Masks say so as well. ``relit``: light has changed more than steps follow.
     """
 
     index: int
@@ -75,6 +76,8 @@ class FrameInput:
     settings: FrameSettings
     stopping: StoppingRule = WHOLE
     free: FreeSpace | None = None
+    lost: Collection[int] = ()
+    relit: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,8 +112,8 @@ class FrameTrainer(Protocol):
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains one frame.
 
-        The static views show ``frame.scene``, and its selected Gaussians are detached in them. Views whose masks are
-        ``lost`` have no part in it.
+        The static views show ``frame.scene``, and its selected Gaussians are detached in them. Views that are lost,
+        by the frame or by their masks, have no part in it.
         """
         ...
 
@@ -139,7 +142,8 @@ def training_context(
 ) -> TrainingContext:
     """The context of a stream that begins with ``keyframe``. The box holds 98 % of its Gaussians and a tenth more."""
     low, high = np.percentile(keyframe.means.astype(np.float64), [1, 99], axis=0)
-    margin = 0.1 * (high - low) + 1e-6
+    extent = scene_extent(views) or 1.0
+    margin = 0.1 * (high - low) + 1e-6 * extent
     return TrainingContext(
         kernel,
         views,
@@ -147,7 +151,7 @@ def training_context(
         settings,
         population=len(keyframe),
         max_gaussians=round(MAX_GROWTH * len(keyframe)),
-        extent=scene_extent(views) or 1.0,
+        extent=extent,
         box=(low - margin, high + margin),
         seed=seed,
         threads=max(1, threads),

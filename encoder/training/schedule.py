@@ -85,17 +85,22 @@ WHOLE = StoppingRule()
 """The whole schedule, unwatched."""
 
 
+def missed_share(errors: Sequence[FloatArray]) -> float:
+    """Share of pixels that are clearly missed; ``errors``: of some views, (3, pixels) each, colours 0 to 1."""
+    pixels = sum(each.shape[1] for each in errors)
+    missed = sum(int((np.abs(each).max(axis=0) > _MISSED_ERROR).sum()) for each in errors)
+    return float(missed / max(pixels, 1))
+
+
 def iteration_factor(settings: IterationSettings, usual: int, errors: Sequence[FloatArray]) -> float:
     """Factor of a frame's iterations, relative to the ``usual`` number.
 
     ``errors``: of some views in their regions of interest, (3, pixels) each, colours 0 to 1.
     """
-    pixels = sum(each.shape[1] for each in errors)
-    if not (settings.usual_miss and pixels):
+    if not (settings.usual_miss and any(each.size for each in errors)):
         return 1.0
-    missed = sum(int((np.abs(each).max(axis=0) > _MISSED_ERROR).sum()) for each in errors)
     most = max(1.0, min(_MAX_ITERATION_FACTOR, _MAX_ITERATIONS / max(usual, 1)))
-    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, most))
+    return float(np.clip(missed_share(errors) / settings.usual_miss, settings.min_factor, most))
 
 
 class StepSchedule:

@@ -1,13 +1,14 @@
 """Mattes of each camera and frame, as the "pictures" of a rig: so they are read in step, side by side and checked.
 
-``masks/cam00/0000.png``: picture files carry the numbers that the rig's own pictures have, or count from 0 at the first
-frame; as many as frames are taken in order, whatever their numbers. ``masks/cam00.mp4``: as long as the rig.
+``masks/cam00/0000.png``: `numbering` says which frame a picture file is of. ``masks/cam00.mp4``: as long as the rig.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Sequence
+import re
+from collections.abc import Collection, Generator, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +18,17 @@ from ..cameras import Camera
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
 from ..rigs import Rig
-from ..rigs.sources import CutSource, FrameSource, PictureSource, pictures_in
-from ..videos import VideoSource, open_video
+from ..rigs.rig import more
+from ..rigs.sources import CutSource, FrameSource, PictureSource, list_folder, pictures_in, refuse_unknown_kinds
+from ..videos import VIDEO_SUFFIXES, VideoSource, open_video
+from .numbering import mattes_of_recording, mattes_of_stream
 from .places import places_of_cameras
 
 Alpha = NDArray[np.float32]
 
-_INNER_FOLDERS = ("", "pha", "alpha", "masks", "mask", "images")
-"""Where a camera's folder keeps its mattes: ``pha`` is BackgroundMattingV2's."""
+_INNER = ("pha", "alpha", "masks", "mask", "", "images")
+"""Folders, or videos, in which a camera's folder keeps its mattes: ``pha`` is BackgroundMattingV2's, which may have its
+foreground and composite beside it."""
 _COLOUR_LEVELS, _COLOUR_SHARE = 24, 1e-3
 """A matte has colour if so many of its pixels have channels so many levels apart: video codecs shift grey by a few."""
 _OPAQUE = 0.998
@@ -34,15 +38,13 @@ _OPAQUE = 0.998
 def matte_rig(folder: Path, rig: Rig, names: Collection[str], frames: range) -> Rig:
     """The cameras of ``rig`` that have mattes in ``folder``, with these as their frames: grey pictures.
 
-    ``names``: cameras that must have some. Raises RigError, naming the camera or frame that is missing.
+    ``names``: cameras that must have some. Its warnings say which frames mattes are taken for, where other numbers than
+    the pictures' tell. Raises RigError, naming the camera or frame that is missing.
     """
     places = _places(folder, rig.cameras, names)
-    found = [
-        (camera, _opened(places[camera.name], camera, source, rig.frame_count, frames))
-        for camera, source in zip(rig.cameras, rig.sources, strict=True)
-        if camera.name in places
-    ]
-    return _with(rig, found)
+    cameras = [camera for camera in rig.cameras if camera.name in places]
+    found = [(camera, _opened(places[camera.name], camera, rig, frames)) for camera in cameras]
+    return replace(_with(rig, found), warnings=tuple(_renumbered(rig, found, frames.start)))
 
 
 def stream_matte_rig(folder: Path, cameras: Sequence[Camera], first: int, count: int, frames: range) -> Rig:
@@ -68,32 +70,60 @@ def alpha_of(matte: Picture) -> Alpha:
     return np.asarray(plane / np.float32(255) if plane.dtype == np.uint8 else np.clip(plane, 0, 1), np.float32)
 
 
-def own_alpha_rig(rig: Rig, names: Collection[str], frame: int) -> Rig | None:
+def own_alpha_rig(rig: Rig, names: Collection[str], frames: range) -> Rig | None:
     """The cameras of ``rig`` whose pictures have alpha, with this as their frames: grey pictures.
 
-    None where alpha is 1 throughout the ``frame``. Raises RigError where one of the cameras ``names`` has none.
+    None where alpha is 1 throughout the ``frames``. Of the first and the last frame every camera is looked at, of those
+    between one camera in turn, until one is transparent somewhere: opaque pictures with alpha cost a decoded picture a
+    frame. Raises RigError where a first frame is opaque that others are not like, and where one of the cameras
+    ``names`` has no alpha.
     """
-    found, is_clear = list[tuple[Camera, FrameSource]](), False
-    for camera, source in zip(rig.cameras, rig.sources, strict=True):
-        alpha = read_alpha(source.files[frame]) if isinstance(source, PictureSource) else None
-        if alpha is not None:
-            found.append((camera, _OwnAlpha(**vars(source))))
-            is_clear |= camera.name in names and float(alpha.min()) < _OPAQUE
-    if not is_clear:
+    sources = {
+        camera.name: source
+        for camera, source in zip(rig.cameras, rig.sources, strict=True)
+        if isinstance(source, PictureSource)
+    }
+    first, last = frames[0], frames[-1]
+    opening = {name: read_alpha(source.files[first]) for name, source in sources.items()}
+    ending = {name: _alpha_if_read(source.files[last]) for name, source in sources.items()}
+    having = [name for name in sources if opening[name] is not None or ending[name] is not None]
+    asked = [name for name in having if name in names]
+    if not asked:
         return None
-    having = [camera.name for camera, _ in found]
+    if not any(_is_clear(opening[name]) for name in asked):
+        in_turn = ((frame, _alpha_if_read(sources[asked[frame % len(asked)]].files[frame])) for frame in frames[1:-1])
+        at_end = ((last, ending[name]) for name in asked)
+        later = next((frame for frame, alpha in chain(at_end, in_turn) if _is_clear(alpha)), None)
+        if later is None:
+            return None
+        raise RigError(
+            f"{rig.path}: the pictures are opaque in frame {first} and cut-outs in frame {later}; begin where all are "
+            "cut out (`frames`), or do without their alpha (`own_masks`)"
+        )
     for name in names:
         if name not in having:
             raise RigError(
                 f"{rig.path}: the pictures of camera {name} have no alpha, those of {having[0]} have; give all of them "
                 "alpha, or do without (`own_masks`)"
             )
-    return _with(rig, found)
+    pairs = zip(rig.cameras, rig.sources, strict=True)
+    return _with(rig, [(camera, _OwnAlpha(**vars(source))) for camera, source in pairs if camera.name in having])
+
+
+def _alpha_if_read(file: Path) -> Alpha | None:
+    try:
+        return read_alpha(file)
+    except RigError:
+        return None  # of that frame its camera is lost
+
+
+def _is_clear(alpha: Alpha | None) -> bool:
+    return alpha is not None and float(alpha.min()) < _OPAQUE
 
 
 def _with(rig: Rig, found: Sequence[tuple[Camera, FrameSource]]) -> Rig:
     cameras, sources = zip(*found, strict=True)
-    return replace(rig, cameras=cameras, sources=sources)
+    return replace(rig, cameras=cameras, sources=sources, warnings=())
 
 
 class _Mattes(PictureSource):
@@ -101,6 +131,8 @@ class _Mattes(PictureSource):
 
     def read_file(self, file: Path) -> Picture:
         """The matte, grey, three times (H, W, 3); 8 bit or float."""
+        if file == Path():
+            raise RigError(f"{self.path}: no matte of this frame; give one for every frame, such as 0000.png")
         alpha = read_alpha(file)
         matte = read_picture(file) if alpha is None or alpha.min() >= _OPAQUE else _grey(alpha)
         height, width = matte.shape[:2]
@@ -146,68 +178,74 @@ def _without_colour(path: Path, matte: Picture) -> Picture:
 
 def _places(folder: Path, cameras: Sequence[Camera], names: Collection[str]) -> dict[str, Path]:
     """Where each camera's mattes are; those of ``names`` must be there."""
-    places = places_of_cameras(folder, [camera.name for camera in cameras])
+    places = places_of_cameras(folder, [camera.name for camera in cameras], names)
     for name in names:
         if name not in places:
             raise RigError(f"{folder}: no mattes of camera {name}; put them into {name}/ or {name}.mp4")
     return places
 
 
-def _opened(place: Path, camera: Camera, source: FrameSource, count: int, frames: range) -> FrameSource:
-    """The mattes of a camera, one for each of the rig's ``count`` frames, those of ``frames`` sure to be there."""
-    files = _pictures_at(place)
-    if not files and not place.is_dir():
-        video = open_video(place)
+def _opened(place: Path, camera: Camera, rig: Rig, frames: range) -> FrameSource:
+    """The mattes of a camera, one for each of the rig's frames, those of ``frames`` sure to be there."""
+    found = _mattes_at(place)
+    recording, clock = rig.recording(camera.name), rig.timeline.clock(camera.name)
+    if isinstance(found, Path):
+        video = open_video(found)
         mattes = _MatteVideo(**vars(video))
-        if isinstance(source, CutSource) and video.frame_count == source.source.frame_count:
-            return replace(source, source=mattes)
-        if video.frame_count != count:
-            raise RigError(f"{place}: {video.frame_count} frames, but the rig has {count}; cut both to the same frames")
-        return mattes
-    return _checked(place, camera, _by_frame(files, source, count), frames)
+        if video.frame_count == rig.frame_count:
+            return mattes
+        if video.frame_count == recording.frame_count:
+            return CutSource(mattes, clock.first, clock.step, rig.frame_count)
+        raise RigError(
+            f"{found}: {video.frame_count} frames, but the rig has {rig.frame_count}; cut both to the same frames"
+        )
+    numbered = mattes_of_recording(place, found, recording, clock, rig.frame_count, frames)
+    return _Mattes(place, numbered, camera.width, camera.height)
+
+
+def _renumbered(rig: Rig, found: Sequence[tuple[Camera, FrameSource]], frame: int) -> Iterator[str]:
+    """Where the matte of a camera's picture has another number than the picture: what was matched to what."""
+    apart = []
+    for camera, mattes in found:
+        own = rig.sources[rig.cameras.index(camera)]
+        if isinstance(mattes, PictureSource) and isinstance(own, PictureSource):
+            matte, picture = mattes.files[frame], own.files[frame]
+            if _last_number(matte) != _last_number(picture):
+                apart.append((matte, picture))
+    if apart:
+        matte, picture = apart[0]
+        yield f"{matte}{more(apart)}: taken for the matte of {picture.name}, frame {frame}"
+
+
+def _last_number(file: Path) -> int | None:
+    digits = re.findall(r"[0-9]+", file.stem)
+    return int(digits[-1]) if digits else None
 
 
 def _opened_for_stream(place: Path, camera: Camera, first: int, count: int, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the stream's ``count`` frames, those of ``frames`` sure to be there."""
-    files = _pictures_at(place)
-    if not files and not place.is_dir():
-        video = open_video(place)
+    files = _mattes_at(place)
+    if isinstance(files, Path):
+        video = open_video(files)
         if video.frame_count != count and (first or video.frame_count < count):
-            raise RigError(f"{place}: {video.frame_count} frames, but the stream has {count}; cut it to these")
+            raise RigError(f"{files}: {video.frame_count} frames, but the stream has {count}; cut it to these")
         return _MatteVideo(**vars(video))
-    if len(files) != count:
-        named = dict(zip(PictureSource(Path(), files, 0, 0).frame_numbers() or (), files, strict=False))
-        if first and files and (0,) not in named:
-            raise RigError(
-                f"{place}: {len(files)} mattes, but the stream has {count} frames, from the rig's frame {first} on; "
-                "give as many, or count them from 0 at the rig's first frame"
-            )
-        files = tuple(named.get((first + index,), Path()) for index in range(count))
-    return _checked(place, camera, files, frames)
+    return _Mattes(place, mattes_of_stream(place, files, first, count, frames), camera.width, camera.height)
 
 
-def _checked(place: Path, camera: Camera, files: tuple[Path, ...], frames: range) -> _Mattes:
-    for frame in frames:
-        if not files[frame].is_file():
-            raise RigError(f"{place}: no matte of frame {frame}; give one for every frame, such as 0000.png")
-    return _Mattes(place, files, camera.width, camera.height)
-
-
-def _pictures_at(place: Path) -> tuple[Path, ...]:
-    if place.is_dir():
-        return next((found for name in _INNER_FOLDERS if (found := pictures_in(place / name))), ())
-    return (place,) if place.suffix.lower() in PICTURE_SUFFIXES else ()
-
-
-def _by_frame(files: tuple[Path, ...], source: FrameSource, count: int) -> tuple[Path, ...]:
-    """The files in the order of the rig's frames; a path that is no file where there is none."""
-    if isinstance(source, CutSource) and len(files) == source.source.frame_count:
-        return files[source.first :: source.step][:count]
-    numbers = PictureSource(Path(), files, 0, 0).frame_numbers()
-    of_rig = source.frame_numbers() if isinstance(source, PictureSource) else None
-    if len(files) == count and (numbers is None or of_rig is None or set(numbers) != set(of_rig)):
-        return files
-    if of_rig is None or numbers is None or not set(numbers) & set(of_rig):
-        of_rig = [(index,) for index in range(count)]
-    named = dict(zip(numbers or (), files, strict=False))
-    return tuple(named.get(number, Path()) for number in of_rig)
+def _mattes_at(place: Path) -> Path | tuple[Path, ...]:
+    """The pictures of a camera's mattes, or the video that has them. Raises RigError where there are neither."""
+    if not place.is_dir():
+        return (place,) if place.suffix.lower() in PICTURE_SUFFIXES else place
+    videos = [entry for entry in list_folder(place) if entry.suffix.lower() in VIDEO_SUFFIXES and entry.is_file()]
+    for name in _INNER:
+        if pictures := pictures_in(place / name):
+            return pictures
+        for video in videos:
+            if video.stem.lower() == name:
+                return video
+    if len(videos) == 1:
+        return videos[0]
+    refuse_unknown_kinds([place, *(place / name for name in _INNER)])
+    there = f"videos, of which none is called pha.mp4 ({', '.join(v.name for v in videos)})" if videos else "no mattes"
+    raise RigError(f"{place}: {there}; give a matte for every frame, such as 0000.png")

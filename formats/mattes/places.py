@@ -4,42 +4,43 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
-from ..rigs.sources import list_folder
+from ..rigs.sources import list_folder, refuse_unknown_kinds
+from ..unicode_forms import composed
 from ..videos import VIDEO_SUFFIXES
 
 
-def places_of_cameras(folder: Path, names: Collection[str]) -> dict[str, Path]:
+def places_of_cameras(folder: Path, names: Collection[str], needed: Collection[str] = ()) -> dict[str, Path]:
     """The entry of each camera that has one: ``cam00/``, ``cam00.png``, ``cam00.mp4``, or ``00/`` and so on.
 
-    Raises RigError if the folder is none, or has two for one camera.
+    Raises RigError if the folder is none, has two for one camera, or has for one that is ``needed`` a file of a kind
+    that is not read.
     """
     if not folder.is_dir():
         raise RigError(f"{folder}: there is no such folder; check the path")
+    forms = {composed(name): name for name in names}
     numbers = {name: _number(name) for name in names}
     counts = Counter(numbers.values())
     cameras = {number: name for name, number in numbers.items() if number is not None and counts[number] == 1}
     found: dict[str, Path] = {}
-    for entry, stem in _entries(folder):
-        name = stem if stem in names else cameras.get(int(stem)) if stem.isdecimal() else None
+    unread: list[tuple[str, Path]] = []
+    for entry in list_folder(folder):
+        stem = composed(entry.name if entry.is_dir() else entry.stem)
+        name = forms[stem] if stem in forms else cameras.get(int(stem)) if stem.isdecimal() else None
         if name is None:
+            continue
+        if not entry.is_dir() and entry.suffix.lower() not in PICTURE_SUFFIXES | VIDEO_SUFFIXES:
+            unread.append((name, entry))
             continue
         if name in found:
             raise RigError(f"{entry}: {found[name].name} is of camera {name}, too; keep one of the two")
         found[name] = entry
+    refuse_unknown_kinds(entry for name, entry in unread if name in needed and name not in found)
     return found
-
-
-def _entries(folder: Path) -> Iterator[tuple[Path, str]]:
-    for entry in list_folder(folder):
-        if entry.is_dir():
-            yield entry, entry.name
-        elif entry.suffix.lower() in PICTURE_SUFFIXES | VIDEO_SUFFIXES:
-            yield entry, entry.stem
 
 
 def _number(name: str) -> int | None:

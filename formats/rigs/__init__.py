@@ -8,11 +8,13 @@ if TYPE_CHECKING:
     from .live import dropped_in as dropped_in
     from .live import open_live as open_live
     from .live import stop_waiting as stop_waiting
+    from .opening import OnLost as OnLost
     from .opening import files_of as files_of
     from .opening import files_with as files_with
     from .opening import open_recordings as open_recordings
     from .opening import open_rig as open_rig
     from .opening import read_frames as read_frames
+    from .opening import read_repeating as read_repeating
     from .rig import Points as Points
     from .rig import Rig as Rig
     from .rig import without_cameras as without_cameras
@@ -24,11 +26,13 @@ _HOMES = {
     "dropped_in": "live",
     "open_live": "live",
     "stop_waiting": "live",
+    "OnLost": "opening",
     "files_of": "opening",
     "files_with": "opening",
     "open_recordings": "opening",
     "open_rig": "opening",
     "read_frames": "opening",
+    "read_repeating": "opening",
     "Points": "rig",
     "Rig": "rig",
     "without_cameras": "rig",

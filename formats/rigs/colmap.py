@@ -23,6 +23,7 @@ from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
 from ..regular_files import open_regular
+from ..unicode_forms import as_it_lies, composed
 from ..videos import VIDEO_SUFFIXES
 from .calibration import calibrated_camera, quaternion_pose
 from .rig import Points, Rig, assemble_rig
@@ -131,7 +132,7 @@ def _check_pairs(folder: Path, model: Path, places: Mapping[str, str | None], un
     if missing:
         named = {part for name in missing for part in _parts(name)}
         inside = (folder, *(entry for entry in list_folder(folder) if entry.name.lower() in GENERIC_FOLDERS))
-        refuse_unknown_kinds(entry for place in inside for entry in list_folder(place) if entry.stem in named)
+        refuse_unknown_kinds(entry for place in inside for entry in list_folder(place) if composed(entry.stem) in named)
         what = f"{folder}: no video, picture folder or picture of image {missing[0]!r}{_more(missing)} of {model}"
         if unposed:
             what += (
@@ -196,11 +197,11 @@ def _frames_below(folder: Path, images: Sequence[PosedImage]) -> dict[str, Path]
     found: dict[str, Path] = {}
     stills: dict[str, Path] = {}
     for group in sorted(groups):
-        inside = [base.joinpath(*group) for base in bases]
+        inside = [as_it_lies(base.joinpath(*group)) for base in bases]
         for entry in (entry for place in inside if os.path.isdir(place) for entry in list_folder(place)):
             if entry.name.lower() in GENERIC_FOLDERS:
                 continue
-            place = "/".join((*group, entry.name if entry.is_dir() else entry.stem))
+            place = "/".join((*group, composed(entry.name if entry.is_dir() else entry.stem)))
             if holds_frames(entry):
                 other = found.setdefault(place, entry)
                 if other is not entry:
@@ -240,7 +241,7 @@ def _unposed(frames: Mapping[str, Path], posed: set[str | None]) -> list[Path]:
         path
         for place, path in frames.items()
         if not posed & {place, place.rpartition("/")[0]}
-        and (stills if _is_still(path) else not any(entry.stem in names for entry in list_folder(path)))
+        and (stills if _is_still(path) else not any(composed(entry.stem) in names for entry in list_folder(path)))
     ]
 
 
@@ -490,7 +491,8 @@ def read_images(model: Path) -> list[PosedImage]:
     binary = model / "images.bin"
     path = binary if binary.is_file() else model / "images.txt"
     found = _binary_images(path) if path == binary else _text_images(path)
-    images = [replace(image, name=image.name.replace("\\", "/")) for image in found]  # as Windows writes them
+    # Windows writes names with backslashes, macOS accents as signs of their own.
+    images = [replace(image, name=composed(image.name.replace("\\", "/"))) for image in found]
     if not images:
         raise RigError(f"{model}: the model holds no images; run the reconstruction again")
     for image in images:

@@ -16,6 +16,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
 from ..errors import RigError
+from ..unicode_forms import as_it_lies
 from .colmap import (
     ModelBytes,
     PosedImage,
@@ -30,7 +31,7 @@ from .colmap import (
 )
 from .named_frames import usual_folders
 from .rig import Rig, assemble_rig
-from .sources import FrameSource, open_listed
+from .sources import FrameSource, but_there_is, open_listed
 
 LAYOUT = "colmap4d"
 _SECOND = 1e9
@@ -54,7 +55,7 @@ def read_colmap4d(folder: Path, model: Path) -> Rig:
     Where the pictures are not as the model names them, its frames are found as those of other COLMAP models.
     """
     images, times = read_images(model), _times(model, "times", _IMAGE_TIME)
-    if not any((place / images[0].name).is_file() for place in usual_folders(folder)):
+    if not any(as_it_lies(place / images[0].name).is_file() for place in usual_folders(folder)):
         return read_colmap_rig(folder, model, LAYOUT)
     timed = [_Timed(image, times[image.image_id]) for image in images if image.image_id in times]
     cameras = _by_camera(model, timed)
@@ -127,11 +128,15 @@ def _source(folder: Path, model: Path, group: Sequence[_Timed]) -> FrameSource:
     outside = next((name for name in names if PurePosixPath(name).is_absolute() or ".." in name.split("/")), None)
     if outside is not None:
         raise RigError(f"{model}: image {outside!r} lies outside the rig's folder; name images relative to it")
-    place = next(place for place in usual_folders(folder) if any((place / name).is_file() for name in names))
-    missing = next((name for name in names if not (place / name).is_file()), None)
+    places = usual_folders(folder)
+    place = next((one for one in places if any(as_it_lies(one / name).is_file() for name in names)), folder)
+    files = [as_it_lies(place / name) for name in names]
+    missing = next((name for name, file in zip(names, files, strict=True) if not file.is_file()), None)
     if missing is not None:
-        raise RigError(f"{place / missing}: is missing, but {model} has it; put it back or take it out of the model")
-    return open_listed(place / names[0], [place / name for name in names])
+        raise RigError(
+            f"{place / missing}: is missing{but_there_is(place / missing)}; put it back or take it out of {model}"
+        )
+    return open_listed(files[0], files)
 
 
 def _times(model: Path, name: str, layout: str) -> dict[int, int]:

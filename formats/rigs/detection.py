@@ -95,7 +95,7 @@ def reader_at(path: Path) -> Reader:
         refuse_pickles(list_folder(path))
         raise RigError(
             f"{path}: no calibration; looked for {_looked_for()}, but {_contents(path)}: calibrate the cameras, "
-            "e.g. with COLMAP"
+            f"with decogs-calibrate {path} -o RIG_DIR or with COLMAP"
         )
     if len(found) > 1:
         names = list(found)

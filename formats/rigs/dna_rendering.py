@@ -86,6 +86,10 @@ class SmcSource:
                 data = _bytes(group, name, self.path)
                 yield decode_picture(_named(self.path, self.group, self.camera, name, data), data)
 
+    def readable_after(self, index: int) -> int:
+        """The next one: each picture is coded by itself."""
+        return index + 1
+
 
 def _sources(path: Path, file: Any) -> Iterator[SmcSource]:
     """The colour cameras, and the sizes of their first pictures."""

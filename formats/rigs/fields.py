@@ -15,9 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RigError
+from ..frame_rates import read_rate
 from ..regular_files import open_regular
+from ..unicode_forms import as_it_lies, composed
 
 _MAX_BYTES = 64 << 20
+_FASTEST = 10_000
+"""Frames per second."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,14 @@ class Fields:
             return default
         return self._finite(key, value)
 
+    def rate(self, key: str) -> float:
+        """Frames per second: a number, or a text such as "30000/1001". Raises RigError for what is no rate."""
+        value = self.values.get(key)
+        rate = read_rate(value) if isinstance(value, str) else self.number(key)
+        if rate is None or not 0 < rate < _FASTEST:
+            raise self.wrong(key, f"is {value!r}, not a frame rate")
+        return rate
+
     def integer(self, key: str) -> int:
         """A whole number; raises RigError when it is missing or none."""
         value = self.number(key)
@@ -58,7 +70,10 @@ class Fields:
         return value
 
     def label(self, key: str, default: str | None = None) -> str:
-        """A text fit for one line of a message: a name, a path."""
+        """A text fit for one line of a message, such as a name, in one of Unicode's forms."""
+        return composed(self._printable(key, default))
+
+    def _printable(self, key: str, default: str | None) -> str:
         value = self.text(key, default)
         if not value.isprintable():
             raise self.wrong(key, "holds control characters")
@@ -66,13 +81,13 @@ class Fields:
 
     def path(self, key: str, folder: Path, default: str | None = None) -> Path:
         """A path relative to ``folder``, also as Windows spells it. Raises RigError for one with a Windows drive."""
-        text = self.label(key, default)
+        text = self._printable(key, default)
         windows = PureWindowsPath(text)
         if os.path.exists(folder / text) or not (windows.drive or "\\" in text):
-            return folder / text
+            return as_it_lies(folder / text)
         if windows.drive:
             raise self.wrong(key, f"is {text!r}, a place on a Windows machine and not relative to {folder}")
-        return folder / windows.as_posix()
+        return as_it_lies(folder / windows.as_posix())
 
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers; raises RigError for anything else."""

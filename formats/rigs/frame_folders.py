@@ -12,10 +12,11 @@ from pathlib import Path, PurePosixPath
 
 from ..cameras import Camera
 from ..errors import RigError
+from ..unicode_forms import composed
 from .colmap import cameras_of, find_model, model_files, read_images, read_lenses, read_points, same_pose
 from .named_frames import usual_folders
 from .rig import Rig, assemble_rig
-from .sources import FrameSource, list_folder, open_listed, pictures_in
+from .sources import FrameSource, list_folder, open_listed, pictures_in, refuse_unknown_kinds
 
 LAYOUT = "frame folders"
 _NAME = re.compile(r"(?:frame|colmap)_?([0-9]+)")
@@ -72,12 +73,14 @@ def _pictures(folder: Path) -> dict[str, Path]:
     """The pictures of one frame by camera."""
     itself, *inside = usual_folders(folder)
     found = (pictures_in(place) for place in (*inside, itself))
-    return {path.stem: path for path in next(filter(None, found), ())}
+    return {composed(path.stem): path for path in next(filter(None, found), ())}
 
 
 def _source(name: str, folders: list[Path], pictures: list[dict[str, Path]]) -> FrameSource:
     lacking = next((frame for frame, found in zip(folders, pictures, strict=True) if name not in found), None)
     if lacking is not None:
+        beside = (entry for place in usual_folders(lacking) for entry in list_folder(place))
+        refuse_unknown_kinds(entry for entry in beside if composed(entry.stem) == name)
         raise RigError(f"{lacking}: no picture of camera {name}; give all frames the same cameras")
     files = [found[name] for found in pictures]
     return open_listed(files[0], files)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RigError
+from ..extras import install
 
 _DAMAGED = (KeyError, OSError, RuntimeError, TypeError, ValueError)
 """What h5py raises for files that are damaged, here and there."""
@@ -22,7 +23,7 @@ def opened(path: Path) -> Iterator[Any]:
     try:
         import h5py
     except ImportError:
-        raise RigError(f"{path}: is HDF5, which needs the package h5py; pip install 'decogs[h5]'") from None
+        raise RigError(f"{path}: is HDF5, which needs the package h5py; {install('h5')}") from None
     try:
         file = h5py.File(path, "r")
     except OSError:

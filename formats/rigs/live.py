@@ -20,7 +20,8 @@ from pathlib import Path
 
 from ..cameras import Camera
 from ..errors import RecordingEnded, RigError
-from ..pictures import Picture
+from ..pictures import PICTURE_KINDS, PICTURE_SUFFIXES, Picture
+from ..unicode_forms import composed
 from ..videos import VIDEO_SUFFIXES
 from .connections import GrowingVideo, SendingCamera, check_address
 from .detection import reader_at
@@ -108,13 +109,17 @@ class LiveSource:
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """The pictures of these frames, each when it is whole. Raises RecordingEnded after the last one.
 
-        The camera is followed from now on, before the first is asked for.
-        RigError where the first does not come, or one has another size.
+        The camera is followed from now on, before the first is asked for. RigError where the first does not come, or
+        has another size.
         """
         name = self.camera.name
         self.recording.ended.discard(name)
         feed = self.recording.feeds[name] = self.recording.opened[name](self.camera)
         return self._pictures(_Follower(self, feed), range(start, stop, step))
+
+    def readable_after(self, index: int) -> int:
+        """The next one, though only the first is not given: for a later one there is the one before."""
+        return index + 1
 
     def _pictures(self, follower: _Follower, frames: range) -> Generator[Picture, None, None]:
         try:
@@ -136,13 +141,20 @@ class _Follower:
         """The picture of a frame, or the one before it where the camera has dropped the frame."""
         if self._lacking and self.feed.reached(self._lacking[-1]):
             self._lacking.clear()
-        picture = self._awaited(frame)
+        try:
+            picture, why = self._awaited(frame), ""
+        except RecordingEnded:
+            raise
+        except RigError as error:
+            if self._last is None:
+                raise
+            picture, why = None, str(error)
         if picture is not None:
             self._last = picture
             self._lacking.clear()
             return picture
         assert self._last is not None
-        self._recording.note(frame, self._source.camera.name, self.feed.why(frame))
+        self._recording.note(frame, self._source.camera.name, why or self.feed.why(frame))
         self._lacking = [*self._lacking, frame][-_DEAD_AFTER:]
         return self._last
 
@@ -187,9 +199,9 @@ def open_live(file: str | os.PathLike[str], *, seconds_per_frame: float | None =
     fields = read_toml(path)
     calibrated = reader_at(fields.path("calibration", path.parent))()
     values = fields.values.get("cameras")
-    cameras = Fields(values, f"{path}, [cameras]") if isinstance(values, dict) else None
-    if not cameras or not cameras.values:
+    if not isinstance(values, dict) or not values:
         raise fields.wrong("cameras", "is no table of where each camera's pictures come from")
+    cameras = Fields({composed(name): value for name, value in values.items()}, f"{path}, [cameras]")
     by_name = {camera.name: camera for camera in calibrated.cameras}
     unknown = [name for name in cameras.values if name not in by_name]
     if unknown:
@@ -276,7 +288,7 @@ class _Terms:
 
 
 def _terms(fields: Fields) -> _Terms:
-    fps, first = _positive(fields, "fps", None), fields.integer("first") if "first" in fields else 0
+    fps, first = fields.rate("fps"), fields.integer("first") if "first" in fields else 0
     if first < 0:
         raise fields.wrong("first", "is below 0")
     return _Terms(fps, first, math.ceil(_positive(fields, "queue", _QUEUE) * fps) + 1)
@@ -297,5 +309,7 @@ def _place(cameras: Fields, name: str, folder: Path, terms: _Terms) -> tuple[Pat
         raise cameras.wrong(
             name, "is no video, no address, and has not one place for the frame's number, such as {} or {:06d}"
         )
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise cameras.wrong(name, f"ends in {path.suffix}, which is not read; record {PICTURE_KINDS}, or a video")
     before, digits, after = parts[0], int(parts[1] or 1), parts[2]
     return path.parent, partial(FolderFeed, before=before, digits=digits, after=after, first=terms.first)

@@ -9,7 +9,11 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import RigError
+from ..unicode_forms import composed
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, refuse_unknown_kinds
+
+_CAM = "(?i:cam(?:era)?)?"
+"""What may stand right before a camera's name in a file's: aniposelib's tutorial calls camera A's ``...-camA.MOV``."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +34,11 @@ def frames_of_cameras(
     """The frames of the cameras in ``calibration``, in the first of ``folders`` that has any.
 
     ``spellings``: for each camera the names that its video or folder may have. Where none of these is there, one that
-    holds such a name as a word, or is a word of it, belongs to the camera: ``take1_left.mp4`` to ``left``.
+    holds such a name as a word, or is a word of it, belongs to the camera: ``take1_left.mp4`` and ``take1-camleft.mp4``
+    to ``left``.
     ``may_lack``: cameras without frames are left out with a warning, as are frames without a camera. Raises RigError.
     """
+    spellings = {name: [composed(one) for one in spelled] for name, spelled in spellings.items()}
     for folder in folders:
         entries = [entry for entry in list_folder(folder) if holds_frames(entry)]
         found = {name: _entry(name, spelled, entries) for name, spelled in spellings.items()}
@@ -52,6 +58,8 @@ def frames_of_cameras(
     _check_one_each(of)
     lacking = [name for name in spellings if name not in of]
     if lacking and not may_lack:
+        beside = (entry for entry in list_folder(folder) if entry != calibration)
+        refuse_unknown_kinds(entry for entry in beside if _fits(entry, spellings[lacking[0]]))
         raise RigError(
             f"{calibration}: no video or picture folder of camera {lacking[0]!r}{_more(lacking)} in {folder}; put it "
             "back, name it as the camera, or take the camera out of the calibration"
@@ -94,15 +102,15 @@ def _check_one_each(of: Mapping[str, Path]) -> None:
 
 
 def _fits(entry: Path, spelled: Sequence[str]) -> bool:
-    return any(_is_word(one, _name(entry)) or _is_word(_name(entry), one) for one in spelled)
+    return any(_is_word(one, _name(entry), _CAM) or _is_word(_name(entry), one) for one in spelled)
 
 
 def _name(entry: Path) -> str:
-    return entry.name if entry.is_dir() else entry.stem
+    return composed(entry.name if entry.is_dir() else entry.stem)
 
 
-def _is_word(word: str, text: str) -> bool:
-    return bool(word) and re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", text) is not None
+def _is_word(word: str, text: str, before: str = "") -> bool:
+    return bool(word) and re.search(rf"(?<![A-Za-z0-9]){before}{re.escape(word)}(?![A-Za-z0-9])", text) is not None
 
 
 def _more(found: Sequence[object]) -> str:

@@ -24,10 +24,11 @@ import numpy as np
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
+from ..unicode_forms import as_it_lies, composed
 from .calibration import calibrated_camera, invert_pose, rigid_pose
 from .fields import Fields, read_json
 from .rig import Rig, assemble_rig
-from .sources import GENERIC_FOLDERS, FrameSource, natural_key, open_listed, open_pictures, open_source
+from .sources import GENERIC_FOLDERS, FrameSource, but_there_is, natural_key, open_listed, open_pictures, open_source
 
 LAYOUT = "nerfstudio"
 CALIBRATION = "transforms.json"
@@ -113,9 +114,9 @@ def _entry(folder: Path, fields: Fields) -> _Entry:
     path = fields.path("file_path", folder)
     # Blender-style files leave the suffix out.
     spelled = [path, *(path.parent / (path.name + suffix) for suffix in sorted(PICTURE_SUFFIXES))]
-    found = next((candidate for candidate in spelled if os.path.exists(candidate)), None)
+    found = next((candidate for candidate in map(as_it_lies, spelled) if os.path.exists(candidate)), None)
     if found is None:
-        raise RigError(f"{fields.where}: {path} is missing; put it back or remove its entry")
+        raise RigError(f"{fields.where}: {path} is missing{but_there_is(path)}; put it back or remove its entry")
     return _Entry(fields, found, fields.number("time", 0.0))
 
 
@@ -173,7 +174,7 @@ def _camera_names(groups: Sequence[Sequence[_Entry]]) -> list[str]:
     """By files, folders, or what the files of a camera have in common: by the first that tells all cameras apart."""
     ways: tuple[Callable[[Sequence[_Entry]], str], ...] = (_file_name, _folder_name, _common_name)
     for name in ways:
-        names = [name(group) for group in groups]
+        names = [composed(name(group)) for group in groups]
         if all(names) and len(set(names)) == len(names):
             return names
     return [f"cam{i:02d}" for i in range(len(groups))]

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from pathlib import Path
+
+import numpy as np
 
 from ..cameras import Camera
 from ..errors import RecordingEnded, RigError, UsageError
@@ -13,10 +16,13 @@ from ..pictures import PICTURE_SUFFIXES, Picture
 from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
 from .detection import calibration_files, reader_at
-from .live import LiveSource, stop_waiting
+from .live import LiveSource, dropped_in, stop_waiting
 from .rig import Rig
-from .sources import FrameSource, PictureSource, list_folder
+from .sources import FrameSource, PictureSource, files_of_source, list_folder
 from .steps import in_step
+
+OnLost = Callable[[int, str, RigError], None]
+"""Called with a frame, a camera, and why its picture of that frame cannot be had."""
 
 
 def open_rig(path: str | os.PathLike[str]) -> Rig:
@@ -44,7 +50,7 @@ def open_recordings(path: str | os.PathLike[str]) -> Rig:
 def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
     """Every file that nothing may be written over, and what it is: frames, calibration, and those that lie beside."""
     for source in rig.sources:
-        for file in source.files if isinstance(source, PictureSource) else (source.path,):
+        for file in files_of_source(source):
             yield file, "holds frames of the rig"
     # Another calibration or camera that lies there was not read, but is the user's all the same.
     for file in (*rig.calibration, *calibration_files(rig.path)):
@@ -55,20 +61,31 @@ def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
 
 
 def files_with(rig: Rig, frames: range) -> Iterator[Path]:
-    """The files that hold these frames, camera by camera: their pictures, or whole videos."""
+    """The files that hold these frames, camera by camera: their pictures that are there, or whole videos."""
     for source in rig.sources:
-        yield from source.files[frames.start : frames.stop] if isinstance(source, PictureSource) else (source.path,)
+        files = files_of_source(source)
+        yield from filter(
+            Path.exists, files[frames.start : frames.stop] if isinstance(source, PictureSource) else files
+        )
 
 
 def read_frames(
-    rig: Rig, start: int = 0, stop: int | None = None, *, step: int = 1, names: Sequence[str] | None = None
+    rig: Rig,
+    start: int = 0,
+    stop: int | None = None,
+    *,
+    step: int = 1,
+    names: Sequence[str] | None = None,
+    on_lost: OnLost | None = None,
 ) -> Iterator[tuple[int, list[Picture]]]:
     """Every step-th frame from start (inclusive) to stop (exclusive): its index, a picture of each camera in ``names``.
 
     Pictures come in the order of ``names`` (default: all cameras); other cameras are never opened. One frame of each
     camera is held at a time; files are read strictly in sequence, also to reach ``start``. Cameras are decoded side by
-    side. Frames of a recording that goes on (``open_live``) come as they are taken, and end with it. Raises UsageError
-    for a range or name the rig does not have, RigError naming file and frame while reading.
+    side. Frames of a recording that goes on (``open_live``) come as they are taken, and end with it. ``on_lost`` is
+    called, before its frame comes, for every picture that cannot be had, in whose place there is another one: of a
+    recording that goes on the one before, else a black one. It may raise the error. Raises UsageError for a range or
+    name the rig does not have; without ``on_lost``, RigError naming file and frame.
     """
     stop = rig.frame_count if stop is None else stop
     if not 0 <= start <= stop <= rig.frame_count:
@@ -79,25 +96,28 @@ def read_frames(
     if unknown:
         raise UsageError(f"{rig.path}: no camera {unknown[0]!r}; there are {', '.join(rows)}")
     chosen = [(rig.cameras[rows[name]], rig.sources[rows[name]]) for name in wanted]
-    return _frames_in_step(chosen, range(start, stop, step))
+    return _frames_in_step(rig, chosen, range(start, stop, step), on_lost)
 
 
-def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> Iterator[tuple[int, list[Picture]]]:
-    readers = [source.read(frames.start, frames.stop, frames.step) for _, source in chosen]
+def _frames_in_step(
+    rig: Rig, chosen: list[tuple[Camera, FrameSource]], frames: range, on_lost: OnLost | None
+) -> Iterator[tuple[int, list[Picture]]]:
+    readers = [_Reader(camera.name, source, frames) for camera, source in chosen]
     # Cameras that are recording are waited for, all at once.
     waits = any(isinstance(source, LiveSource) for _, source in chosen)
     pool = ThreadPoolExecutor(max_workers=max(1, len(chosen) if waits else min(len(chosen), processor_count())))
-    pending: list[Future[Picture]] = []
+    pending: list[Future[Picture | RigError]] = []
     try:
         for index in frames:
-            pending = [
-                pool.submit(_next_picture, camera, source, reader, index)
-                for (camera, source), reader in zip(chosen, readers, strict=True)
-            ]
+            pending = [pool.submit(reader.next, index) for reader in readers]
             try:
-                yield index, [future.result() for future in pending]
+                found = [future.result() for future in pending]
             except RecordingEnded:
                 return
+            if on_lost is not None:
+                for name, why in dropped_in(rig, index).items():
+                    on_lost(index, name, RigError(why))
+            yield index, [reader.given(index, got, on_lost) for reader, got in zip(readers, found, strict=True)]
     finally:
         stop_waiting(source for _, source in chosen)
         # Waits for decoders in flight: a reader must not be closed while its thread runs. Not for the threads to end:
@@ -108,13 +128,66 @@ def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> 
             reader.close()
 
 
-def _next_picture(camera: Camera, source: FrameSource, reader: Iterator[Picture], index: int) -> Picture:
-    picture = next(reader, None)
-    if picture is None:
-        raise RigError(f"{source.path}: ends before frame {index}; bring all cameras to the same number of frames")
-    if picture.shape != (camera.height, camera.width, 3):
-        raise RigError(
-            f"{source.path}: frame {index} is {picture.shape[1]} x {picture.shape[0]} pixels, but camera {camera.name} "
-            f"has {camera.width} x {camera.height}; bring all frames to one size"
-        )
-    return picture
+def read_repeating(source: FrameSource, frames: range) -> Iterator[Picture]:
+    """A recording's pictures of these frames, with the one before in place of one that cannot be had.
+
+    Raises RigError for the first one.
+    """
+    with closing(_Reader(source.path.stem, source, frames)) as reader:
+        before: Picture | RigError | None = None
+        for index in frames:
+            found = reader.next(index)
+            before = before if isinstance(found, RigError) and before is not None else found
+            if isinstance(before, RigError):
+                raise before
+            yield before
+
+
+class _Reader:
+    """The pictures of one camera, frame by frame; those that cannot be had are passed over."""
+
+    def __init__(self, name: str, source: FrameSource, frames: range) -> None:
+        self._name, self._source, self._frames = name, source, frames
+        self._pictures: Generator[Picture, None, None] | None = source.read(frames.start, frames.stop, frames.step)
+        self._error, self._readable = RigError(), frames.start
+
+    def next(self, index: int) -> Picture | RigError:
+        """The picture of the next frame, or why there is none."""
+        if index < self._readable:
+            return self._error
+        if self._pictures is None:
+            self._pictures = self._source.read(index, self._frames.stop, self._frames.step)
+        try:
+            return self._checked(index, next(self._pictures, None))
+        except RecordingEnded:
+            raise
+        except RigError as error:
+            self.close()
+            self._pictures, self._error = None, error
+            self._readable = self._source.readable_after(index)
+            return error
+
+    def given(self, index: int, found: Picture | RigError, on_lost: OnLost | None) -> Picture:
+        """The picture that was found, or a black one where there is none; raises RigError without ``on_lost``."""
+        if not isinstance(found, RigError):
+            return found
+        if on_lost is None:
+            raise found
+        on_lost(index, self._name, found)
+        return np.zeros((self._source.height, self._source.width, 3), np.uint8)
+
+    def close(self) -> None:
+        """Closes the camera's files."""
+        if self._pictures is not None:
+            self._pictures.close()
+
+    def _checked(self, index: int, picture: Picture | None) -> Picture:
+        source = self._source
+        if picture is None:
+            raise RigError(f"{source.path}: ends before frame {index}; bring all cameras to the same number of frames")
+        if picture.shape != (source.height, source.width, 3):
+            raise RigError(
+                f"{source.path}: frame {index} is {picture.shape[1]} x {picture.shape[0]} pixels, but camera "
+                f"{self._name} has {source.width} x {source.height}; bring all frames to one size"
+            )
+        return picture

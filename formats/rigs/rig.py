@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,11 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera, scale_camera
 from ..errors import RigError, UsageError
+from ..frame_rates import exact_rate
+from ..unicode_forms import composed
+from ..videos import VideoSource
 from .sources import FrameSource, PictureSource, natural_key
+from .timeline import RigTime, Timeline
 
 
 @dataclass(frozen=True)
@@ -31,12 +36,12 @@ class Rig:
     """Synchronised, calibrated, fixed cameras; frame k of every source is the same instant, which `in_step` sees to.
 
     ``cameras`` and ``sources`` are parallel, in natural order of the camera names; each camera has the size of its
-    source. ``fps`` is None for single pictures and picture folders without a stated rate. ``calibration``: the files
-    that the cameras and points were read from. ``warnings``: what the user should know, one line each.
+    source. ``fps``: as a stream is played, as stated or else as recorded; None where nothing tells. ``timeline``: the
+    clocks of its cameras. ``recordings``: by camera, the whole source of which only a part is used. ``calibration``:
+    the files that the cameras and points were read from. ``warnings``: what the user should know, one line each.
     ``length_unit``: a world unit in words, where the calibration has one. ``ignore_masks``: by camera, the pictures
     that the calibration names for pixels that teach nothing, which are black; each once. ``starts``: by camera, when
-    its first picture was taken, in frames on a common clock, as the calibration states it. ``late``: by camera, by what
-    part of a frame its pictures are later than their instant, below 0 earlier, which `in_step` finds and cannot mend.
+    its first picture was taken, on a common clock, as the calibration states it.
     """
 
     path: Path
@@ -52,8 +57,14 @@ class Rig:
     warnings: tuple[str, ...] = ()
     length_unit: str = ""
     ignore_masks: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
-    starts: Mapping[str, float] = field(default_factory=dict)
-    late: Mapping[str, float] = field(default_factory=dict)
+    starts: Mapping[str, RigTime] = field(default_factory=dict)
+    timeline: Timeline = field(default_factory=Timeline)
+    recordings: Mapping[str, FrameSource] = field(default_factory=dict)
+
+    def recording(self, camera: str) -> FrameSource:
+        """The whole recording of a camera, also where only a part of it is used."""
+        names = [each.name for each in self.cameras]
+        return self.recordings.get(camera, self.sources[names.index(camera)])
 
 
 def assemble_rig(
@@ -77,6 +88,7 @@ def assemble_rig(
     """
     if not pairs:
         raise RigError(f"{path}: the calibration lists no cameras; calibrate the rig again")
+    pairs = [(replace(camera, name=composed(camera.name)), source) for camera, source in pairs]
     _check_names(path, [camera.name for camera, _ in pairs])
     ordered = [
         (camera, _as_calibrated(camera, source, resizable))
@@ -98,7 +110,19 @@ def assemble_rig(
         tuple(calibration),
         tuple(_warnings(sources)),
         length_unit,
+        timeline=Timeline(recorded_rate(sources, fps)),
     )
+
+
+def recorded_rate(sources: Sequence[FrameSource], stated: float | None) -> Fraction | None:
+    """Frames per second of the slowest recording; as ``stated`` where none has a rate, None where nothing tells."""
+    rate = min((fps for _, fps in with_rates(sources)), default=stated)
+    return None if rate is None else exact_rate(rate)
+
+
+def with_rates(sources: Sequence[FrameSource]) -> list[tuple[FrameSource, float]]:
+    """The recordings that have a rate, which one picture has not, with their frames per second."""
+    return [(source, source.fps) for source in sources if source.fps is not None and source.frame_count > 1]
 
 
 def without_cameras(rig: Rig, names: Collection[str]) -> Rig:
@@ -146,12 +170,28 @@ def usual(values: Sequence[Hashable]) -> int:
 def _as_calibrated(camera: Camera, source: FrameSource, resizable: bool) -> FrameSource:
     """The source, turned by its pictures' EXIF orientation if only then they are what was calibrated.
 
-    Where the stored pictures fit, they stay as they are stored, as in COLMAP; so do all square ones.
+    Where the stored pictures fit, they stay as they are stored, as in COLMAP; so do all square ones. A video has the
+    edges that its clean aperture leaves out where its size was calibrated with them.
     """
+    if isinstance(source, VideoSource) and any(source.edges):
+        return _with_edges_as_calibrated(camera, source)
     if _fits(camera, source, resizable) or not isinstance(source, PictureSource):
         return source
     turned = source.turned()
     return turned if turned is not None and _fits(camera, turned, resizable) else source
+
+
+def _with_edges_as_calibrated(camera: Camera, source: VideoSource) -> VideoSource:
+    size, whole = (camera.width, camera.height), source.whole()
+    if size == (whole.width, whole.height):
+        return whole
+    if size == (source.width, source.height):
+        return source
+    said = (
+        f"is cropped to its clean aperture, {source.width} x {source.height} of {whole.width} x {whole.height} pixels; "
+        "if the cameras were calibrated with all of them, state the calibration at that size"
+    )
+    return replace(source, warnings=(*source.warnings, said))
 
 
 def _fits(camera: Camera, source: FrameSource, resizable: bool) -> bool:

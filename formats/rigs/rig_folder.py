@@ -10,6 +10,7 @@ from typing import Any
 
 from ..cameras import Camera
 from ..errors import UsageError
+from ..outputs import check_folder_name
 from . import rig_json
 from .rig import Rig
 from .sources import FrameSource, PictureSource, pictures_in
@@ -22,6 +23,7 @@ def check_new_folder(folder: Path) -> None:
     """Raises UsageError unless there is nothing that a rig written to ``folder`` would lie among."""
     if os.path.lexists(folder) and not (folder.is_dir() and not any(folder.iterdir())):
         raise UsageError(f"`output` {folder}: is already there; name a new folder")
+    check_folder_name(folder)
 
 
 def write_rig_folder(rig: Rig, folder: Path, starts: Mapping[str, float]) -> None:

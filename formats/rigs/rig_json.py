@@ -17,8 +17,9 @@ from .calibration import calibrated_camera, rigid_pose
 from .colmap import has_model, model_files, read_points
 from .fields import Fields, read_json
 from .rig import Rig, assemble_rig
-from .sources import open_source
-from .steps import MAX_START, common_rate
+from .sources import but_there_is, open_source
+from .steps import MAX_START
+from .timeline import RigTime, Timeline
 
 LAYOUT = "rig.json"
 CALIBRATION = "rig.json"
@@ -34,7 +35,10 @@ def read_rig_json(folder: Path) -> Rig:
     for record in fields.records("cameras"):
         file = record.path("file", folder)
         if not os.path.exists(file):
-            raise RigError(f"{record.where}: {file} is missing; put it back or remove the camera from {path.name}")
+            raise RigError(
+                f"{record.where}: {file} is missing{but_there_is(file)}; put it back or remove the camera from "
+                f"{path.name}"
+            )
         pairs.append((_camera(record, shift), open_source(file)))
         if "start" in record:
             starts[pairs[-1][0].name] = record.number("start")
@@ -47,7 +51,7 @@ def read_rig_json(folder: Path) -> Rig:
         pairs,
         [path, *model_files(model)],
         resizable=False,
-        fps=_rate(fields),
+        fps=fields.rate("fps") if "fps" in fields else None,
         points=read_points(model) if has_model(model) else None,
         source_text=fields.text("source", ""),
         licence=fields.text("licence", ""),
@@ -57,17 +61,17 @@ def read_rig_json(folder: Path) -> Rig:
         raise fields.wrong(
             "frame_count", f"is {fields.integer('frame_count')}, but the cameras have {rig.frame_count} frames"
         )
-    return replace(rig, starts=_in_frames(fields, starts, rig))
+    return replace(rig, starts=_on_the_rigs_clock(fields, starts, rig.timeline))
 
 
-def _in_frames(fields: Fields, starts: dict[str, float], rig: Rig) -> dict[str, float]:
-    """The starts in frames, whatever their unit in the file."""
-    unit, rate = fields.text("start_unit", "frames"), common_rate(rig)
+def _on_the_rigs_clock(fields: Fields, starts: dict[str, float], timeline: Timeline) -> dict[str, RigTime]:
+    """The starts, whatever their unit in the file."""
+    unit = fields.text("start_unit", "frames")
     if unit not in ("frames", "seconds"):
         raise fields.wrong("start_unit", f"is {unit!r}, neither 'frames' nor 'seconds'")
-    if unit == "seconds" and rate is None:
+    if unit == "seconds" and timeline.rate is None:
         raise fields.wrong("start_unit", "is 'seconds', but no frame rate is known; state 'fps'")
-    frames = {name: start * (1.0 if unit == "frames" or rate is None else rate) for name, start in starts.items()}
+    frames = {name: RigTime(start) if unit == "frames" else timeline.time_of(start) for name, start in starts.items()}
     for name, start in frames.items():
         if abs(start) > MAX_START:
             raise fields.wrong("start", f"of {name} is {start:g} frames away, which no recording is")
@@ -82,15 +86,6 @@ def _pixel_shift(fields: Fields) -> float:
     if "(0,0)" in convention:
         return 0.5
     raise fields.wrong("pixel_convention", "says neither (0,0) nor (0.5,0.5) for the centre of the top left pixel")
-
-
-def _rate(fields: Fields) -> float | None:
-    if "fps" not in fields:
-        return None
-    fps = fields.number("fps")
-    if not 0 < fps < 10_000:
-        raise fields.wrong("fps", f"is {fps:g}, not a frame rate")
-    return fps
 
 
 def _camera(record: Fields, shift: float) -> Camera:

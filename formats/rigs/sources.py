@@ -10,9 +10,11 @@ from typing import Protocol
 
 import numpy as np
 
+from ..chapters import continues_another, files_of_video, open_recording
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES, Picture, picture_facts, read_picture
-from ..videos import VIDEO_SUFFIXES, open_video
+from ..pictures import PICTURE_KINDS, PICTURE_SUFFIXES, Picture, picture_facts, read_picture
+from ..unicode_forms import composed
+from ..videos import VIDEO_SUFFIXES, VideoSource
 
 GENERIC_FOLDERS = frozenset({"images", "frames", "videos", "rgb", "input"})
 """Folder names that hold pictures but name no camera."""
@@ -66,6 +68,10 @@ class FrameSource(Protocol):
         """Every step-th frame from start (inclusive) to stop (exclusive). Raises RigError naming file and frame."""
         ...
 
+    def readable_after(self, index: int) -> int:
+        """The first frame after ``index`` from which reading can go on where that one cannot be had."""
+        ...
+
 
 @dataclass(frozen=True)
 class PictureSource:
@@ -104,6 +110,10 @@ class PictureSource:
                     f"{self.width} x {self.height}; bring all its frames to one size"
                 )
             yield picture
+
+    def readable_after(self, index: int) -> int:
+        """The next one: each picture has a file of its own."""
+        return index + 1
 
     def read_file(self, file: Path) -> Picture:
         """The picture in one file, as stored."""
@@ -158,6 +168,10 @@ class SourceOfAnother:
         """Those of the whole source."""
         return self.source.warnings
 
+    def readable_after(self, index: int) -> int:
+        """The next one, which is read anew."""
+        return index + 1
+
 
 @dataclass(frozen=True)
 class CutSource(SourceOfAnother):
@@ -176,6 +190,11 @@ class CutSource(SourceOfAnother):
         """As of any source; errors name the frames of the whole source."""
         last = self.first + (stop - 1) * self.step
         yield from self.source.read(self.first + start * self.step, last + 1, step * self.step)
+
+    def readable_after(self, index: int) -> int:
+        """As of the whole source."""
+        whole = self.source.readable_after(self.first + index * self.step)
+        return -((self.first - whole) // self.step)
 
 
 class ListedPictures(PictureSource):
@@ -210,7 +229,7 @@ def open_source(path: Path) -> FrameSource:
     if suffix in PICTURE_SUFFIXES:
         return open_pictures(path, (path,))
     try:
-        return open_video(path)
+        return open_recording(path)
     except RigError:
         if suffix not in VIDEO_SUFFIXES:
             refuse_unknown_kinds([path])
@@ -222,7 +241,7 @@ def open_pictures(path: Path, files: Iterable[Path]) -> PictureSource:
     files = tuple(files)
     if not files:
         refuse_unknown_kinds([path])
-        raise RigError(f"{path}: no PNG, JPEG, TIFF or EXR pictures in here; put the camera's frames there")
+        raise RigError(f"{path}: no {PICTURE_KINDS} pictures in here; put the camera's frames there")
     kinds = sorted({file.suffix.lower() for file in files})
     if len(kinds) > 1:
         raise RigError(f"{path}: holds pictures of several kinds ({', '.join(kinds)}); keep one kind per camera")
@@ -249,26 +268,46 @@ def _is_hidden(name: str) -> bool:
 
 
 def holds_frames(entry: Path) -> bool:
-    """Whether this is a video or a folder with pictures in it."""
+    """Whether this is a video, the first of its chapters, or a folder with pictures in it."""
     if entry.is_dir():
         return bool(pictures_in(entry) or pictures_in(entry / "images"))
-    return entry.suffix.lower() in VIDEO_SUFFIXES
+    return entry.suffix.lower() in VIDEO_SUFFIXES and not continues_another(entry)
+
+
+def files_of_source(source: FrameSource) -> tuple[Path, ...]:
+    """The files that are read of a camera's frames: pictures, chapters, or one video."""
+    if isinstance(source, PictureSource):
+        return source.files
+    if isinstance(source, SourceOfAnother):
+        return files_of_source(source.source)
+    return files_of_video(source) if isinstance(source, VideoSource) else (source.path,)
 
 
 def refuse_unknown_kinds(entries: Iterable[Path]) -> None:
     """For entries that should hold a camera's frames, and do not: raises RigError if that is for their files' endings.
 
-    Names the largest of the files, and of those in the folders, whose ending is not known: others are notes beside it.
+    Names the largest of them.
     """
+    file = largest_unknown(entries)
+    if file is not None:
+        raise RigError(
+            f"{file}: files ending in {file.suffix} are not read as frames; convert them to {PICTURE_KINDS} pictures, "
+            "or to a video such as .mp4"
+        )
+
+
+def largest_unknown(entries: Iterable[Path]) -> Path | None:
+    """The largest of these files, and of those in these folders, of an unknown ending; others are notes beside it."""
     inside = (file for entry in entries for file in [entry, *list_folder(entry), *list_folder(entry / "images")])
     known = PICTURE_SUFFIXES | VIDEO_SUFFIXES
     unknown = [file for file in inside if file.suffix and file.suffix.lower() not in known and file.is_file()]
-    if unknown:
-        file = max(unknown, key=lambda file: file.stat().st_size)
-        raise RigError(
-            f"{file}: files ending in {file.suffix} are not read as frames; convert them to one of "
-            f"{', '.join(sorted(PICTURE_SUFFIXES))} (pictures), {', '.join(sorted(VIDEO_SUFFIXES))} (videos)"
-        )
+    return max(unknown, key=lambda file: file.stat().st_size, default=None)
+
+
+def but_there_is(path: Path) -> str:
+    """For a file that is missing: what lies there under its name with another ending, in words, if anything."""
+    like = [entry.name for entry in list_folder(path.parent) if composed(entry.stem) == composed(path.stem)]
+    return f", but {', '.join(like)} is there" if like else ""
 
 
 def pictures_in(folder: Path) -> tuple[Path, ...]:

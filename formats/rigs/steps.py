@@ -1,7 +1,7 @@
 """Frame k of every camera is one instant: checked where nothing is known of the cameras' starts, made so where it is.
 
-A start says when a camera's first picture was taken, in frames, on a clock that the rig shares. Whole frames are passed
-over when reading, and the span is used that all cameras recorded; what is below a frame stays, and is said.
+A start says when a camera's first picture was taken, on a clock that the rig shares (`timeline`). Whole frames are
+passed over when reading, and the span is used that all cameras recorded; what is below a frame stays, and is said.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import RigError
-from .rig import Rig, more, usual
+from .gaps import with_gaps
+from .rig import Rig, more, usual, with_rates
 from .sources import CutSource, FrameSource, PictureSource
+from .timeline import CameraClock, RecordedIndex, RigTime
 
 _SAME_RATE = 5e-4
 """Relative; 29.97 and 30 frames per second are 1e-3 apart, and out of step by a frame after 33 seconds."""
@@ -26,18 +28,20 @@ _SAID_REST = 0.05
 """Frames below which what remains is not worth a line: less than the motion estimate can tell."""
 
 
-def in_step(rig: Rig, starts: Mapping[str, float]) -> Rig:
+def in_step(rig: Rig, starts: Mapping[str, RigTime]) -> Rig:
     """The rig with the frames that all cameras recorded, of one instant each.
 
-    ``starts``: by camera, in frames of `common_rate`; cameras that it lacks are taken to start with most others.
+    ``starts``: by camera; cameras that it lacks are taken to start with most others.
     Without any, all recordings must have the same frames. Raises RigError for what differs and cannot be brought in
     step, and where there is no common span.
     """
+    rig = replace(rig, sources=with_gaps(rig.sources))
     if not starts:
         rate = rig.fps if rig.fps is not None else _one_rate(rig.sources)
         _check_frame_counts(rig.sources)
         _check_frame_numbers(rig.sources)
-        return replace(rig, fps=rate, warnings=(*_odd_rates(rig.sources), *rig.warnings))
+        count = rig.sources[0].frame_count
+        return replace(rig, fps=rate, frame_count=count, warnings=(*_odd_rates(rig.sources), *rig.warnings))
     steps = steps_of(rig)
     named = {camera.name: starts.get(camera.name) for camera in rig.cameras}
     known = [start for start in named.values() if start is not None]
@@ -48,19 +52,20 @@ def in_step(rig: Rig, starts: Mapping[str, float]) -> Rig:
     span = _common_span(rig, times, steps)
     sources = [_cut(*each, span.count) for each in zip(rig.sources, span.firsts, steps, strict=True)]
     said = _said(rig, span, [name for name, start in named.items() if start is None], max(times) - min(times))
+    slowest = min((fps for _, fps in with_rates(rig.sources)), default=None)
+    clocks = [
+        CameraClock(RecordedIndex(first), step, RigTime(rest if abs(rest) > _SAID_REST else 0.0))
+        for first, step, rest in zip(span.firsts, steps, span.rests, strict=True)
+    ]
     return replace(
         rig,
         sources=tuple(sources),
-        fps=common_rate(rig),
+        recordings=dict(zip(named, rig.sources, strict=True)),
+        fps=slowest if rig.fps is None else rig.fps,
         frame_count=span.count,
         warnings=(*_odd_rates(sources), *rig.warnings, *said),
-        late={name: rest for name, rest in zip(named, span.rests, strict=True) if abs(rest) > _SAID_REST},
+        timeline=replace(rig.timeline, clocks=dict(zip(named, clocks, strict=True))),
     )
-
-
-def common_rate(rig: Rig) -> float | None:
-    """Frames per second of the whole: as the calibration states, else of the slowest camera; None if none is known."""
-    return rig.fps if rig.fps is not None else min((fps for _, fps in _timed(rig.sources)), default=None)
 
 
 def steps_of(rig: Rig) -> list[int]:
@@ -68,7 +73,7 @@ def steps_of(rig: Rig) -> list[int]:
 
     Raises RigError for a rate that is no multiple of it.
     """
-    slowest = min(_timed(rig.sources), key=lambda pair: pair[1], default=None)
+    slowest = min(with_rates(rig.sources), key=lambda pair: pair[1], default=None)
     steps = []
     for source in rig.sources:
         ratio = 1.0 if slowest is None or source.fps is None or source.frame_count < 2 else source.fps / slowest[1]
@@ -173,12 +178,8 @@ def _check_frame_numbers(sources: Sequence[FrameSource]) -> None:
             )
 
 
-def _timed(sources: Sequence[FrameSource]) -> list[tuple[FrameSource, float]]:
-    return [(source, source.fps) for source in sources if source.fps is not None and source.frame_count > 1]
-
-
 def _one_rate(sources: Sequence[FrameSource]) -> float | None:
-    timed = _timed(sources)
+    timed = with_rates(sources)
     if not timed:
         return None
     usual_source, most = timed[usual([round(fps, 1) for _, fps in timed])]
@@ -192,7 +193,7 @@ def _one_rate(sources: Sequence[FrameSource]) -> float | None:
 
 
 def _odd_rates(sources: Sequence[FrameSource]) -> Iterator[str]:
-    timed = _timed(sources)
+    timed = with_rates(sources)
     if timed:
         usual_source, most = timed[usual([round(fps, 2) for _, fps in timed])]
         others = [(source, fps) for source, fps in timed if abs(fps - most) > _SAME_RATE * most]

@@ -20,7 +20,7 @@ from ..errors import RigError
 from .calibration import opencv_camera, quaternion_pose
 from .fields import read_calibration_file
 from .rig import Rig, assemble_rig
-from .sources import FrameSource, open_pictures, pictures_in
+from .sources import FrameSource, list_folder, open_pictures, pictures_in, refuse_unknown_kinds
 
 LAYOUT = "technicolor"
 CALIBRATION = "cameras_parameters.txt"
@@ -34,6 +34,8 @@ def read_technicolor(calibration: Path) -> Rig:
     rows = _rows(calibration)
     files = _pictures(folder)
     if not files:
+        beside = (*list_folder(folder), *list_folder(folder / "images"))
+        refuse_unknown_kinds(entry for entry in beside if _PICTURE.fullmatch(entry.stem))
         raise RigError(f"{folder}: no pictures such as Scene_undist_00100_00.png, here or in images/; put them there")
     if sorted(files) != list(range(len(rows))):
         raise RigError(

@@ -7,6 +7,7 @@ common to those of few bits is in ``quantised``. ``reading`` takes strangers' .p
 
 from __future__ import annotations
 
+import math
 import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -23,12 +24,20 @@ _READING, _PASSING = 2, 260
 
 @dataclass(frozen=True)
 class Extremes:
-    """What all frames of an export stay within: numbers of Gaussians, the largest coordinate's magnitude, SH degree."""
+    """What all frames of an export stay within: numbers of Gaussians, the largest coordinate's magnitude, SH degree.
+
+    ``clamped``: Gaussians of a frame that have a size outside of the format's, at most.
+    """
 
     smallest: int
     largest: int
     farthest: float
     sh_degree: int
+    clamped: int = 0
+
+
+ANY_SIZE = (-math.inf, math.inf)
+"""Logarithms of the sizes that floats hold."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +70,13 @@ class SplatFormat(Protocol):
     """A file format that holds one frame.
 
     ``up``: the axis that programs which read such files take for up. ``compensated``: whether the Gaussians are to be
-    drawn with Mip-Splatting's compensation of opacity, which the file then states where it can.
+    drawn with Mip-Splatting's compensation of opacity, which the file then states where it can. ``log_scales``:
+    logarithms of the least and the largest size that it holds.
     """
 
     suffix: ClassVar[str]
     up: ClassVar[Literal["Y", "-Y"]]
+    log_scales: ClassVar[tuple[float, float]]
 
     @property
     def compensated(self) -> bool:

@@ -1,7 +1,7 @@
 """Binary glTF with KHR_gaussian_splatting: float32 attributes of points, which other programs show as a point cloud.
 
-Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, as ratified in 2026, and glTF 2.0, section 4
-("GLB File Format Specification"). Scales are linear there; drafts until 2025 had logarithms.
+Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, a release candidate in August 2026, and glTF
+2.0, section 4 ("GLB File Format Specification"). Scales are linear there; drafts until 2025 had logarithms.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..colour import linear_from_srgb
 from ..errors import UsageError
 from ..splats import SH_C0, Splats, sh_degree_of
-from . import Extremes, needs_gaussians
+from . import ANY_SIZE, Extremes, needs_gaussians
 from .quantised import logits, opacities, unit_rotations
 
 _GLB, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
@@ -36,6 +36,7 @@ class Glb:
     compensated: bool = False
     suffix: ClassVar[str] = ".glb"
     up: ClassVar[Literal["Y", "-Y"]] = "Y"
+    log_scales: ClassVar[tuple[float, float]] = ANY_SIZE
 
     def fitted(self, extremes: Extremes) -> tuple[Glb, list[str]]:
         needs_gaussians(extremes, self.suffix)

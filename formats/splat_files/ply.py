@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from ..splats import SH_C0, FloatArray, Splats
-from . import Extremes, Room
+from . import ANY_SIZE, Extremes, Room
 
 _HEADER_END = b"end_header\n"
 _COMPENSATED = "comment SplatRenderMode: mip"
@@ -52,6 +52,7 @@ class Ply:
     compensated: bool = False
     suffix: ClassVar[str] = ".ply"
     up: ClassVar[Literal["Y", "-Y"]] = "-Y"
+    log_scales: ClassVar[tuple[float, float]] = ANY_SIZE
 
     def fitted(self, extremes: Extremes) -> tuple[Ply, list[str]]:
         return self, []

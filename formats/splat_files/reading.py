@@ -60,7 +60,7 @@ def read_splats(path: str | os.PathLike[str], room: Room) -> SplatFile:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _PARSERS:
-        raise UsageError(f"{path}: Gaussians are read from {' and '.join(READABLE)}; give such a file")
+        raise UsageError(f"{path}: Gaussians are read from {' and '.join(READABLE)}; export it as one of these")
     data = _bytes_of(path, room)
     try:
         splats, compensated = _PARSERS[suffix](data, room)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..splats import FloatArray, Splats
-from . import Extremes, needs_gaussians
+from . import ANY_SIZE, Extremes, needs_gaussians
 from .quantised import logits, opacities, to_bytes, unit_rotations
 
 Bytes = NDArray[np.uint8]
@@ -49,6 +49,7 @@ class Sog:
     compensated: bool = False
     suffix: ClassVar[str] = ".sog"
     up: ClassVar[Literal["Y", "-Y"]] = "-Y"
+    log_scales: ClassVar[tuple[float, float]] = ANY_SIZE
 
     def fitted(self, extremes: Extremes) -> tuple[Sog, list[str]]:
         needs_gaussians(extremes, self.suffix)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..splats import SH_C0, Splats
-from . import Extremes
+from . import ANY_SIZE, Extremes
 from .quantised import logits, opacities, to_bytes, unit_rotations
 
 RECORD = np.dtype(
@@ -27,6 +27,7 @@ class Splat:
     compensated: bool = False
     suffix: ClassVar[str] = ".splat"
     up: ClassVar[Literal["Y", "-Y"]] = "-Y"
+    log_scales: ClassVar[tuple[float, float]] = ANY_SIZE
 
     def fitted(self, extremes: Extremes) -> tuple[Splat, list[str]]:
         left_out = []

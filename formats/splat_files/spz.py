@@ -35,13 +35,16 @@ _LARGEST_FRACTION = 24
 _ZSTD_LEVEL = 12
 _MAX_BITS = 14
 """Fraction bits; 16 gained .08 dB against the decoded picture, of 53, and took 2 to 7 % more bytes (``workbench``)."""
+_MIN_STEPS = 4096
+"""Steps of a position up to the farthest, below which they show: a fiftieth of a room in metres."""
+_REMEDY = "choose another `scale_to_metres`, or write .ply"
 _MAX_GAUSSIANS = 10_000_000
 """That libraries for versions 2 and 3 read."""
 
 
 @dataclass(frozen=True)
 class Spz:
-    """One frame. Defaults are the library's, but for the version, which is the newest that all readers know.
+    """One frame. Defaults are the library's, but for the version, which is the newest that most readers know.
 
     ``fraction_bits``: of a position, in world units; it has 24 bits in all, and what lies outside them is put at their
     ends. ``sh1_bits``, ``sh_rest_bits``: kept of the 8 of each SH coefficient of degree 1 and above; what lies beyond
@@ -55,9 +58,13 @@ class Spz:
     compensated: bool = False
     suffix: ClassVar[str] = ".spz"
     up: ClassVar[Literal["Y", "-Y"]] = "Y"
+    log_scales: ClassVar[tuple[float, float]] = (-10.0, 255 / 16 - 10)
 
     def fitted(self, extremes: Extremes) -> tuple[Spz, list[str]]:
-        """With as many fraction bits as leave room for the farthest position, and all bits of SH."""
+        """With as many fraction bits as leave room for the farthest position, and all bits of SH.
+
+        It says which sizes it clamps, and where positions become coarse.
+        """
         needs_gaussians(extremes, self.suffix)
         if self.version < 4 and extremes.largest > _MAX_GAUSSIANS:
             raise UsageError(
@@ -70,7 +77,18 @@ class Spz:
                 f"a Gaussian lies {extremes.farthest:.3g} units from the origin, and .spz has room for {1 << 23}; "
                 "write .ply"
             )
-        return replace(self, fraction_bits=bits, sh1_bits=8, sh_rest_bits=8), []
+        lost, (least, most) = [], np.exp(self.log_scales)
+        if extremes.clamped:
+            lost.append(
+                f"sizes of {extremes.clamped} Gaussians of a frame with {extremes.largest} lie outside of .spz's, "
+                f"{least:.2g} to {most:.3g} units, and are clamped; {_REMEDY}"
+            )
+        if 0 < extremes.farthest * (1 << bits) < _MIN_STEPS:
+            lost.append(
+                f".spz has positions in steps of {0.5**bits:.2g} units, coarse for a scene that reaches "
+                f"{extremes.farthest:.2g} units; {_REMEDY}"
+            )
+        return replace(self, fraction_bits=bits, sh1_bits=8, sh_rest_bits=8), lost
 
     def encode(self, splats: Splats) -> bytes:
         sh = splats.sh[:, 1:]

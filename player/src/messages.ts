@@ -42,6 +42,8 @@ export type ToWorker =
   | { readonly type: "exact"; readonly camera: PinholeCamera }
   /** Draw the keyframe at or before a frame with the kernel; answered by a "still". */
   | { readonly type: "still"; readonly frame: number; readonly camera: PinholeCamera }
+  /** Answers a "kernel": the exact picture's kernel; null: it cannot be had, and `problem` says why. */
+  | { readonly type: "kernel"; readonly bytes: ArrayBuffer | null; readonly problem: string }
   /** Give the frame that is shown as a .ply; answered by a "ply". */
   | { readonly type: "ply" }
   /** The sound of frames from one up to, not including, another; answered by a "sound" of the same `request`. */
@@ -128,6 +130,17 @@ export interface FrameInfo {
   readonly corrections: ReadonlyMap<string, CameraCorrection>;
 }
 
+/** `picture` null: there is none, and `problem` says why, if something is wrong. `kernel`: whether there is one to ask again. */
+export interface ExactAnswer {
+  readonly type: "exact";
+  readonly picture: ExactPicture | null;
+  readonly problem: string | null;
+  readonly kernel: boolean;
+}
+
+/** The answer of a worker that is gone: nothing is amiss with its kernel. */
+export const NO_ANSWER: ExactAnswer = { type: "exact", picture: null, problem: null, kernel: true };
+
 export type FromWorker =
   | {
       readonly type: "opened";
@@ -165,8 +178,9 @@ export type FromWorker =
   /** The frame to begin with is not known yet; it has to be asked for when it is. */
   | { readonly type: "notYet" }
   | { readonly type: "refreshed"; readonly grown: boolean }
-  /** `picture` null: there is none, and `problem` says why, if something is wrong. */
-  | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null }
+  /** The exact picture's kernel is needed; answered by a "kernel". */
+  | { readonly type: "kernel" }
+  | ExactAnswer
   /** null: there is none. */
   | { readonly type: "still"; readonly picture: ExactPicture | null }
   /** null: there is none, and `problem` says why. */

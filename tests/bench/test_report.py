@@ -31,6 +31,7 @@ from decogs.bench.runs import BenchOptions
 from decogs.bench.variants import Question, Variant
 from decogs.codec.header import StreamHeader
 from decogs.formats.errors import TrainingError, UsageError
+from decogs.formats.extras import install
 from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splat_files.spz import Spz
 
@@ -352,7 +353,7 @@ def test_rigs_of_one_name_are_refused(refused: Callable[..., str], three_frames:
 
 def test_a_file_in_the_reports_place_is_refused(refused: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "report").write_text("")
-    assert "report: is a file; name a folder for the report" in refused()
+    assert "report: is a file; name a folder" in refused()
 
 
 def test_an_unknown_kind_of_report_is_refused(refused: Callable[..., str]) -> None:
@@ -363,7 +364,7 @@ def test_plots_without_their_library_are_one_line(refused: Callable[..., str], m
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find(name))
     line = refused(kind="paper")
-    assert line == "decogs-bench: error: the report's plots need matplotlib: pip install 'decogs[bench]'\n"
+    assert line == f"decogs-bench: error: the report's plots need matplotlib: {install('bench')}\n"
 
 
 def test_the_plotting_library_is_loaded_for_plots_only() -> None:

@@ -2,8 +2,8 @@
 
 A row for each subset: how many are placed, what their focal lengths may be off by as it says, what they are off by,
 and how far matches that nothing was fitted to are from epipolar lines of found and given cameras (median), with a word
-on which fit clearly better. ``--centre-off`` moves the pictures' features, as of lenses with their axis off the middle;
-``--k1`` bends them.
+on which fit clearly better. ``--centre-off`` moves the pictures' features, as of lenses with their axis off the middle,
+with ``--apart`` each to another side; ``--k1`` bends them.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 from table import deviations
 
 from decogs.decoder.lens import distort_pixels, with_k1
-from decogs.encoder.calibration.by_motion import judged
+from decogs.encoder.calibration.by_motion import believed
 from decogs.encoder.calibration.features import Features, features_of, matched, sift_extractor
 from decogs.encoder.calibration.footage import Footage, instants_of, pictures_at
 from decogs.encoder.calibration.held_out import Score, score, split
-from decogs.encoder.calibration.structure import Matched, map_cameras, require_pycolmap
+from decogs.encoder.calibration.structure import Matched, require_pycolmap
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre
 from decogs.formats.rigs import open_rig
 
@@ -40,9 +40,9 @@ def subsets(cameras: list[Camera], sizes: list[int], count: int) -> Iterator[tup
             seen.add(tuple(chosen))
 
 
-def changed(features: Features, camera: Camera, k1: float, off: float) -> tuple[Features, Camera]:
+def changed(features: Features, camera: Camera, k1: float, off: tuple[float, float]) -> tuple[Features, Camera]:
     """The features as a lens would show them that bends, or has its axis off the middle by so many widths; and it."""
-    shift = off * camera.width * np.array([1, -0.75])
+    shift = camera.width * np.array(off)
     bent = with_k1(as_pinhole(camera), k1) if k1 else camera
     pixels = distort_pixels(bent, features.pixels) if k1 else features.pixels
     return replace(features, pixels=pixels + shift), replace(bent, cx=bent.cx + shift[0], cy=bent.cy + shift[1])
@@ -65,6 +65,7 @@ def main() -> None:
     parser.add_argument("--subsets", type=int, default=3, help="of each size")
     parser.add_argument("--k1", type=float, default=0)
     parser.add_argument("--centre-off", type=float, default=0)
+    parser.add_argument("--apart", action="store_true", help="each camera's axis off to another side")
     parser.add_argument("--shared", action="store_true")
     options = parser.parse_args()
     require_pycolmap()
@@ -74,7 +75,13 @@ def main() -> None:
         instants = instants_of(footage, options.frames)
         found = [features_of(list(pictures_at(one, instants)), extractor) for one in footage]
         pairs = {(a, b): matched(found[a], found[b]) for a, b in combinations(range(len(found)), 2)}
-        bent = [changed(*one, options.k1, options.centre_off) for one in zip(found, rig.cameras, strict=True)]
+        ways = (
+            np.random.default_rng(2).uniform(0, 2 * np.pi, len(found)) if options.apart else np.full(len(found), -0.64)
+        )
+        bent = [
+            changed(*one, options.k1, (options.centre_off * np.cos(way), options.centre_off * np.sin(way)))
+            for *one, way in zip(found, rig.cameras, ways, strict=True)
+        ]
         for seed, chosen in subsets(
             list(rig.cameras), [int(size) for size in options.cameras.split(",")], options.subsets
         ):
@@ -83,8 +90,7 @@ def main() -> None:
             start = Matched(
                 [one.name for one in few], [one.size for one in few], features, split(features, links), options.shared
             )
-            mapped = map_cameras(start, seed, lambda: None)
-            calibration = judged(mapped, few)
+            mapped, calibration = believed(start, few, seed)
             head = f"{path.name} | {len(chosen)} from {chosen[0]} | {len(calibration.placed)}"
             if mapped is None or len(calibration.placed) < 3:
                 print(f"| {head} | refused | | | |", flush=True)
@@ -98,7 +104,8 @@ def main() -> None:
             word = "in doubt" if calibration.doubts else "accepted"
             truth = f"{np.median(focal):.1f}, {focal.max():.1f} % | {degrees.max():.2f} degrees, {centres.max():.1f} %"
             matches = compared(
-                mapped.score, score({number: every[number] for number in mapped.cameras}, features, start.pairs)
+                score(mapped.cameras, features, start.pairs),
+                score({number: every[number] for number in mapped.cameras}, features, start.pairs),
             )
             print(
                 f"| {head} | {word} | {np.median(said):.1f}, {said.max():.1f} % | {truth} | {matches} |{silent}",

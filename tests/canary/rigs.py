@@ -124,10 +124,13 @@ def dome_scene(frame: int) -> Splats:
 
 def light_scene(frame: int) -> Splats:
     """Nothing moves; a lamp on the right grows warmer and brighter, then goes out."""
-    gain = np.array([(0, 0, 0), (0.2, 0.14, 0.05), (0.36, 0.26, 0.1), (0, 0, 0)][frame])
-    scene = cube_before_wall(0)
-    reach = np.exp(-(((scene.means - [1.0, -0.4, 0.2]) / 0.8) ** 2).sum(1))
-    shown = (scene.sh[:, 0] * SH_C0 + 0.5) * (1 + reach[:, None] * gain)
+    return lit_by(cube_before_wall(0), [(0, 0, 0), (0.2, 0.14, 0.05), (0.36, 0.26, 0.1), (0, 0, 0)][frame], 0.8)
+
+
+def lit_by(scene: Splats, more: Sequence[float], distance: float) -> Splats:
+    """The scene with so much ``more`` red, green and blue at a lamp on the right, and less of it at a ``distance``."""
+    reach = np.exp(-(((scene.means - [1.0, -0.4, 0.2]) / distance) ** 2).sum(1))
+    shown = (scene.sh[:, 0] * SH_C0 + 0.5) * (1 + reach[:, None] * np.array(more))
     lit = Splats(scene.means, scene.log_scales, scene.quaternions, scene.opacity_logits, scene.sh.copy())
     lit.sh[:, 0] = (shown - 0.5) / SH_C0
     return lit

@@ -59,6 +59,7 @@ def decode(data: bytes, limits: Limits | None = None) -> Decoded:
     frames: list[Packet] = []
     indexes: list[bool] = []
     sounds: list[Sound] = []
+    of_frame = 0
     limits = limits or Limits()
     try:
         with located(None, 0):
@@ -72,10 +73,12 @@ def decode(data: bytes, limits: Limits | None = None) -> Decoded:
                 elif packet.kind == END:
                     check_end(packet, len(frames))
                 elif packet.kind == SOUND:
-                    sounds += sound(packet, header, len(frames) - 1)
+                    of_frame += packet.frame == len(frames) - 1
+                    sounds += sound(packet, header, len(frames) - 1) if of_frame <= 64 else []
                 elif packet.kind in FRAME_KINDS:
                     states.append(frame(packet, header, states, limits))
                     frames.append(packet)
+                    of_frame = 0
     except Broken as broken:
         return Decoded(header, states, broken, indexes, sounds)
     return Decoded(header, states, None, indexes, sounds)

@@ -290,7 +290,7 @@ def sound(packet: Packet, header: Header, frame: int) -> list[Sound]:
             refuse("bad-payload")
         while not blocks or fields.position < len(packet.payload):
             length = int.from_bytes(fields.take(2), "little")
-            if not 1 <= length <= 1276:
+            if not 1 <= length <= 1276 or len(blocks) == 1024:
                 refuse("bad-payload")
             blocks.append(fields.take(length))
     except Broken:

@@ -214,6 +214,15 @@ def test_the_version_of_spz(small_stream: Any, tmp_path: Path) -> None:
         assert (tmp_path / "a.spz").read_bytes().startswith(start)
 
 
+@pytest.mark.parametrize(("metres", "fault"), [("1e-3", "sizes of"), ("1", ""), ("1e5", "sizes of")])
+def test_sizes_that_spz_clamps_are_said(
+    small_stream: Any, tmp_path: Path, capsys: Any, metres: str, fault: str
+) -> None:
+    arguments = ["-o", str(tmp_path / "a.spz"), "--frames", ":1", "--scale-to-metres", metres]
+    assert export_main([str(small_stream.path), *arguments]) == 0
+    assert (fault in capsys.readouterr().err) if fault else not capsys.readouterr().err
+
+
 class Piped(io.BytesIO):
     """A pipe that takes seven bytes at a time."""
 
@@ -254,7 +263,7 @@ def test_a_pipe_takes_what_a_file_would(
             "not finite; choose another --scale-to-metres",
         ),
         (["-o", "a.spz", "--scale-to-metres", "1e8", "--frames", ":1"], "a.spz: a Gaussian lies .* write .ply"),
-        (["-o", "a.usdc", "--fps", "nan"], "--fps nan: give a positive number"),
+        (["-o", "a.usdc", "--fps", "nan"], "'nan' is no rate"),
         (["-o", "a.usdc", "--first-frame", "-1"], "--first-frame -1"),
         (["-o", "a.usdc", "--up", "W"], "invalid choice: 'W'"),
         (["-o", "missing/a.usdc"], "folder does not exist"),

@@ -15,13 +15,27 @@ import numpy as np
 import pytest
 
 from decogs.codec.header import StreamHeader
-from decogs.codec.sound import MAX_TRACKS, RATE, SoundPacket, SoundTrack, frame_start, read_sound
+from decogs.codec.sound import (
+    MAX_BLOCKS,
+    MAX_PACKETS,
+    MAX_TRACKS,
+    RATE,
+    SoundPacket,
+    SoundTrack,
+    frame_start,
+    read_sound,
+)
+from decogs.codec.syntax import write_key, write_skip
 from decogs.decoder import decode, decode_sound, info, open_stream
 from decogs.decoder.commands import decode_main, info_main
+from decogs.decoder.editing import Set, edit
+from decogs.decoder.following import follow_stream
 from decogs.decoder.sound.coding import coded
 from decogs.decoder.sound.samples import frames_before, heard, mixed
-from decogs.formats.container import FRAME_KINDS, PROLOGUE_SIZE, Packet, PacketKind, StreamWriter
+from decogs.formats.container import FRAME_KINDS, PROLOGUE_SIZE, Packet, PacketKind, StreamWriter, packet_bytes
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.opus import OpusDecoder
+from decogs.formats.survey import MAX_DAMAGED_PLACES
 from packets import iterate_packets
 from sounding_streams import FIRST_TONE, STEP, with_sound
 
@@ -195,10 +209,87 @@ def test_packets_are_read_as_they_were_written_and_only_so() -> None:
     tracks = [SoundTrack(), SoundTrack(1)]
     packet = SoundPacket(1, -312, (b"abc", b"\xff" * 1276))
     payload = packet.payload()
+    most = SoundPacket(0, 0, (b"\xfc",) * MAX_BLOCKS)
+    assert read_sound(Packet(PacketKind.SOUND, 0, most.payload()), tracks) == most
+    flooded = most.payload() + b"\1\0\xfc"
     assert read_sound(Packet(PacketKind.SOUND, 0, payload), tracks) == packet
-    for bad in (payload[:-1], payload + b"\0", b"\2" + payload[1:], payload[:5], payload[:4], b"", payload + b"\xfd\4"):
+    for bad in (
+        payload[:-1],
+        payload + b"\0",
+        b"\2" + payload[1:],
+        payload[:5],
+        payload[:4],
+        b"",
+        payload + b"\xfd\4",
+        flooded,
+    ):
         with pytest.raises(StreamError, match="bad-payload"):
             read_sound(Packet(PacketKind.SOUND, 0, bad), tracks)
+
+
+def test_blocks_that_nobody_hears_are_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long before, long after, and in many packets of one frame: what is decoded follows from the seconds played."""
+    decoded = []
+    monkeypatch.setattr(OpusDecoder, "decode", lambda self, block: decoded.append(block) or np.zeros((1, 960), "f4"))
+    flood = (b"\xfc",) * MAX_BLOCKS
+    at_once = tuple(SoundPacket(0, -100 * number, flood) for number in range(MAX_PACKETS))
+    sounds = [(SoundPacket(0, -2_000_000_000, flood),), (SoundPacket(0, 2_000_000_000, flood),), at_once]
+    together(sounds, [SoundTrack(1)], 25.0)
+    assert len(decoded) == -(-(63 * 100 + RATE // 25) // 960), "from where the last packet begins to the frame's end"
+
+
+def test_a_frame_has_so_many_packets_of_sound(small_stream, tmp_path: Path) -> None:
+    packet = SoundPacket(0, 0, (b"\xfc",))
+    with (tmp_path / "s.dgs").open("wb") as file:
+        for read in iterate_packets(io.BytesIO(small_stream.path.read_bytes())):
+            if read.kind == PacketKind.HEADER:
+                writer = StreamWriter(file, replace(small_stream.header, sound=(SoundTrack(1),)).to_bytes())
+            elif read.kind in FRAME_KINDS:
+                writer.write(read.kind, read.frame, read.payload)
+                for _ in range(MAX_PACKETS + 5):
+                    writer.write(PacketKind.SOUND, read.frame, packet.payload())
+    with open_stream(tmp_path / "s.dgs") as stream:
+        assert [len(sound) for sound in stream.sounds()] == [MAX_PACKETS] * stream.frame_count
+    with follow_stream(tmp_path / "s.dgs", idle=0.1) as followed:
+        heard = followed.heard()
+        frames = followed.frames()
+        next(frames)
+        next(frames)
+        assert len(heard._packets) == MAX_PACKETS
+
+
+def test_a_stream_with_too_many_damaged_packets_of_sound_is_refused(small_stream, tmp_path: Path) -> None:
+    """As one with as many damaged frames is; each of them would be kept in memory and named."""
+    header = replace(small_stream.header, sound=(SoundTrack(1),)).to_bytes()
+    state = small_stream.states[0]
+    with (tmp_path / "s.dgs").open("wb") as file:
+        writer = StreamWriter(file, header)
+        writer.write(PacketKind.KEY, 0, write_key(state).payload)
+        for frame in range(1, MAX_DAMAGED_PLACES // MAX_PACKETS + 2):
+            writer.write(PacketKind.SKIP, frame, write_skip(state).payload)
+            for _ in range(MAX_PACKETS):
+                writer.write(PacketKind.SOUND, frame, b"\7")
+        writer.finish()
+    with pytest.raises(StreamError, match="damaged in too many places"):
+        info(tmp_path / "s.dgs")
+
+
+@pytest.mark.parametrize("broken", ["payload", "header", "blocks"])
+def test_the_sound_that_is_lost_is_named(small_stream, tmp_path: Path, broken: str) -> None:
+    """Also where frames were read first, by an edit of the header alone, and when frames are followed."""
+    data = bytearray(with_sound(small_stream.path, tmp_path / "s.dgs").read_bytes())
+    packet = next(p for p in iterate_packets(io.BytesIO(data)) if p.kind == PacketKind.SOUND and p.frame == 3)
+    if broken == "blocks":
+        bad = packet_bytes(PacketKind.SOUND, 3, b"\7" + packet.payload[1:])
+        data[packet.offset : packet.offset + packet.size] = bad
+    else:
+        data[packet.offset + (30 if broken == "payload" else 9)] ^= 1
+    (tmp_path / "s.dgs").write_bytes(data)
+    said: list[str] = []
+    edit(tmp_path / "s.dgs", tmp_path / "o.dgs", [Set(title="x")], on_warning=said.append)
+    assert any("the sound of frame 3 is lost, and no frame" in text for text in said), said
+    assert len(said) == (2 if broken == "header" else 1)
+    assert any("the sound of frame 3 is lost" in str(damage) for damage in info(tmp_path / "s.dgs").damage)
 
 
 @pytest.mark.parametrize(

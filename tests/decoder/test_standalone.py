@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from decogs.formats.extras import install
+
 BLOCKED = """
 import sys
 blocked = sys.argv.pop(1).split(",")
@@ -108,20 +110,20 @@ def test_extras_bring_video_and_usd_without_the_encoder(small_stream, tmp_path: 
             "decode",
             "video.mp4",
             ["--view", "cam00"],
-            "this needs PyAV, which is not installed: pip install 'decogs[video]'",
+            f"this needs PyAV, which is not installed: {install('video')}",
         ),
-        ("export", "scene.usdc", [], "this needs OpenUSD, which is not installed: pip install 'decogs[usd]'"),
+        ("export", "scene.usdc", [], f"this needs OpenUSD, which is not installed: {install('usd')}"),
         (
             "decode",
             "x",
             ["--camera", "camera.usda"],
-            "this needs OpenUSD, which is not installed: pip install 'decogs[usd]'",
+            f"this needs OpenUSD, which is not installed: {install('usd')}",
         ),
         (
             "decode",
             "around.png",
             ["--view", "cam00", "--equirectangular"],
-            "this needs OpenCV, which is not installed: pip install 'decogs[encode]'",
+            f"this needs OpenCV, which is not installed: {install('encode')}",
         ),
     ],
 )
@@ -155,7 +157,7 @@ def test_what_needs_much_names_the_extra_that_has_all_of_it(
     given = [option.format(tmp_path) for option in options]
     result = run(BLOCKED + program, OF_EXTRAS, *given)
     assert result.returncode == 2
-    assert re.fullmatch(rf".*: error: this needs \w+, .*: pip install 'decogs\[{extra}\]'\n", result.stderr)
+    assert re.fullmatch(rf".*: error: this needs \w+, .*: {re.escape(install(extra))}\n", result.stderr)
 
 
 def test_start_up_loads_nothing_heavy(small_stream) -> None:

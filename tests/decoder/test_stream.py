@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -274,8 +273,42 @@ def test_a_closed_stream_raises_and_reads_no_other_file(small_stream, segmented_
 
 def test_a_pipe_cannot_be_opened_and_says_what_can_be_done(small_stream, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    writing = threading.Thread(target=lambda: (tmp_path / "pipe").open("wb").close())
-    writing.start()
-    with pytest.raises(UsageError, match="pipe: cannot be seeked, as a pipe; decode it with - for stdin"):
-        open_stream(tmp_path / "pipe")
-    writing.join()
+    for nothing_to_seek in (tmp_path / "pipe", Path(os.devnull)):
+        with pytest.raises(UsageError, match="is no regular file; write the stream to a file first"):
+            open_stream(nothing_to_seek)
+
+
+def test_a_file_that_is_written_into_while_it_is_read_is_refused(
+    small_stream, segmented_stream, tmp_path: Path
+) -> None:
+    """Other bytes, more, fewer, or at another time: no frame of both. A new file of that name is no change of it."""
+    other = segmented_stream.path.read_bytes()
+    path = tmp_path / "s.dgs"
+    for change in (other, small_stream.path.read_bytes() + b"more", other[:1000], None):
+        path.write_bytes(small_stream.path.read_bytes())
+        with open_stream(path, on_damage=lambda damage: None) as stream:
+            coming = stream.frames()
+            next(coming)
+            if change is None:
+                os.utime(path, ns=(0, 1))
+            else:
+                path.write_bytes(change)
+            with pytest.raises(UsageError, match=r"s\.dgs: changed while it was read; try again"):
+                list(coming)
+    path.write_bytes(small_stream.path.read_bytes())
+    with open_stream(path) as stream:
+        (tmp_path / "new").write_bytes(other)
+        os.replace(tmp_path / "new", path)
+        assert len(list(stream.frames())) == len(small_stream.states)
+
+
+def test_a_stream_that_still_grows_may_get_longer_while_it_is_read(small_stream, tmp_path: Path) -> None:
+    data = small_stream.path.read_bytes()
+    path = tmp_path / "s.dgs.part"
+    path.write_bytes(data[:-300])
+    with open_stream(path, on_damage=lambda damage: None) as stream:
+        path.write_bytes(data)
+        assert len(list(stream.frames())) == stream.frame_count
+        path.write_bytes(data[:-400])
+        with pytest.raises(UsageError, match="changed while it was read"):
+            list(stream.frames())

@@ -33,6 +33,7 @@ from decogs.decoder.viewing import notebook, page_files, piped
 from decogs.decoder.viewing.byte_ranges import NoSuchBytes, asked_range
 from decogs.decoder.viewing.recorded_pictures import RecordedPictures
 from decogs.decoder.viewing.server import StreamServer, serve_stream
+from decogs.decoder.viewing.site import write_site
 from decogs.decoder.views import render_view
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, StreamError, UsageError
@@ -150,7 +151,9 @@ def test_the_page_and_its_types(served: StreamServer, small_stream: Any) -> None
     assert index.headers["Content-Type"].startswith("text/html")
     assert f'data-src="./{small_stream.path.name}"'.encode() in index.body
     assert b" follow" not in index.body.partition(b"<decogs-player")[2].partition(b">")[0]
-    assert "script-src 'self' 'wasm-unsafe-eval'" in index.headers["Content-Security-Policy"]
+    policy = index.headers["Content-Security-Policy"]
+    assert f"\n{policy}\n" in (Path(__file__).parents[2] / "docs" / "see-it.md").read_text("utf-8")
+    assert "unsafe-inline" not in policy
     assert ask(served.url, "index.html").body == index.body
     for path in page_files.PAGE.iterdir():
         if path.name != "index.html":
@@ -538,6 +541,20 @@ def test_a_folder_of_someone_elses_is_left_alone(small_stream: Any, tmp_path: Pa
     assert view_main([str(site / small_stream.path.name), "-o", str(site), "--overwrite"]) == 2
     assert view_main([stream, "-o", str(tmp_path / "other"), "--follow"]) == 2
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("way", ["written into", "replaced"])
+def test_a_site_is_of_one_stream(small_stream: Any, tmp_path: Path, way: str) -> None:
+    data = small_stream.path.read_bytes()
+
+    def change(done: int, total: int) -> None:
+        file = small_stream.path if way == "written into" else tmp_path / "new"
+        file.write_bytes(data + b"more")
+        os.replace(file, small_stream.path)
+
+    with pytest.raises(UsageError, match=r"scene\.dgs: changed while it was read"):
+        write_site(small_stream.path, tmp_path / "site", on_megabytes=change)
+    assert not (tmp_path / "site").exists()
 
 
 def test_a_site_that_cannot_be_written_is_not_begun(

@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 
 import pytest
 
+from decogs.decoder.exporting import export
 from decogs.encoder import EncodeJob
 from decogs.encoder.cluster import ray_engine
 from decogs.encoder.cluster.encoding import encode_on_cluster
@@ -71,9 +72,10 @@ def nodes() -> Iterator[Any]:
 
 @pytest.fixture
 def run(rig: Path, settings: Any, tmp_path: Path) -> Callable[..., bytes]:
-    def run(cluster: str, **options: Any) -> bytes:
+    def run(cluster: str, *, progress: Any = None, **options: Any) -> bytes:
         output = tmp_path / "scene.dgs"
-        encode_on_cluster(EncodeJob(rig, output, settings, segment=SEGMENT, closed=True, **options), cluster)
+        job = EncodeJob(rig, output, settings, segment=SEGMENT, closed=True, **options)
+        encode_on_cluster(job, cluster, progress=progress)
         assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
         return output.read_bytes()
 
@@ -310,6 +312,48 @@ def test_what_is_there_of_other_options_is_refused(
     with pytest.raises(UsageError, match=rf"scene.dgs.parts: its encode had another `{next(iter(options))}`"):
         here(resume=True, **options)
     assert key.exists()
+
+
+@pytest.fixture(scope="module")
+def keyframes(rig: Path, tiny_settings: Any, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two streams of the first frame, and the first one's Gaussians as a file."""
+    folder = tmp_path_factory.mktemp("keyframes")
+    streams = [folder / "a.dgs", folder / "b.dgs"]
+    for seed, path in enumerate(streams):
+        encode(rig, path, tiny_settings, frames=slice(1), seed=seed, threads=1)
+    export(streams[0], folder / "a.ply")
+    return [*streams, folder / "a.ply"]
+
+
+@pytest.mark.parametrize(("begun", "resumed"), [(0, 1), (None, 1), (2, 0), (2, None), (1, 2)])
+def test_another_keyframe_than_that_of_the_parts_is_refused(
+    here: Any, rig: Path, tiny_settings: Any, keyframes: list[Path], tmp_path: Path, begun: Any, resumed: Any
+) -> None:
+    given = [None if number is None else keyframes[number] for number in (begun, resumed)]
+    key = tmp_path / "scene.dgs.parts" / "key.dgs"
+    key.parent.mkdir()
+    options: dict[str, Any] = {"frames": slice(4), "segment": SEGMENT, "closed": True, "threads": 1}
+    encode(rig, key, tiny_settings, only=range(1), keyframe=given[0], **options)
+    with pytest.raises(UsageError, match=r"scene.dgs.parts: its encode had another `keyframe`; give the same options"):
+        here(resume=True, keyframe=given[1])
+    assert not Here.ran
+    here(resume=True, keyframe=given[0])
+    assert Here.ran == [range(2), range(2, 4)]
+
+
+def test_a_part_of_another_keyframe_stays(
+    here: Any, rig: Path, tiny_settings: Any, keyframes: list[Path], tmp_path: Path
+) -> None:
+    """It is named before anything is encoded, not when all parts are joined."""
+    other = tmp_path / "scene.dgs.parts" / "2-4.dgs"
+    other.parent.mkdir()
+    options: dict[str, Any] = {"frames": slice(4), "segment": SEGMENT, "closed": True, "threads": 1}
+    for name, source in (("b.dgs", keyframes[1]), (other.with_name("key.dgs"), keyframes[0])):
+        encode(rig, tmp_path / name, tiny_settings, only=range(1), keyframe=source, **options)
+    encode(rig, other, tiny_settings, only=range(2, 4), keyframe=tmp_path / "b.dgs", **options)
+    with pytest.raises(UsageError, match=r"2-4.dgs: it does not belong to .*key.dgs: it starts from another first key"):
+        here(resume=True, keyframe=keyframes[0])
+    assert (Here.ran, other.exists()) == ([], True)
 
 
 def test_what_a_part_fails_of_is_told_in_one_line(here: Any, tmp_path: Path) -> None:

@@ -199,9 +199,9 @@ def test_places_that_cannot_be(moving_rig: Path, refused: Any, tmp_path: Path) -
 
 
 def broken_picture(rig: Path) -> str:
-    path = rig / "cam03" / "0002.png"
+    path = rig / "cam03" / "0000.png"
     path.write_bytes(path.read_bytes()[:500])
-    return "cam03/0002.png: "
+    return "cam03/0000.png: "
 
 
 def missing_camera(rig: Path) -> str:
@@ -215,19 +215,19 @@ def missing_picture(rig: Path) -> str:
 
 
 def other_size(rig: Path) -> str:
-    cv2.imwrite(str(rig / "cam03" / "0002.png"), np.zeros((10, 10, 3), np.uint8))
-    return "cam03/0002.png: 10 x 10 pixels"
+    cv2.imwrite(str(rig / "cam03" / "0000.png"), np.zeros((10, 10, 3), np.uint8))
+    return "cam03: 10 x 10 pixels"
 
 
 def nan_in_an_exr(rig: Path) -> str:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     for path in list((rig / "cam03").iterdir()):
         pixels = (cv2.imread(str(path))[..., ::-1] / 255.0).astype(np.float32)
-        if path.stem == "0002":
+        if path.stem == "0000":
             pixels[7, 9, 1] = np.nan
         OpenEXR.File(header, {"RGB": pixels}).write(str(path.with_suffix(".exr")))
         path.unlink()
-    return "cam03/0002.exr: 1 pixel(s) are NaN or infinite"
+    return "cam03/0000.exr: 1 pixel(s) are NaN or infinite"
 
 
 def no_poses(rig: Path) -> str:
@@ -265,14 +265,22 @@ def test_rigs_that_break(moving_rig: Path, refused: Any, tmp_path: Path, breaks:
     rig = tmp_path / "rig"
     shutil.copytree(moving_rig, rig)
     named = breaks(rig)
-    said = refused(rig)
-    assert named in said
-    part = tmp_path / "out" / "scene.dgs.part"
-    assert part.exists() == (str(part) in said)
-    if part.exists():
-        with open_stream(part) as stream:
-            assert stream.complete
-            assert f"the {stream.frame_count} frames before it are in" in said
+    assert named in refused(rig)
+
+
+def test_a_later_picture_that_is_broken_is_a_warning(
+    moving_rig: Path,
+    tiny_settings: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(PRESETS, "tiny", tiny_settings)
+    rig = Path(shutil.copytree(moving_rig, tmp_path / "rig"))
+    (rig / "cam03" / "0002.png").write_bytes(b"")
+    arguments = [str(rig), "-o", str(tmp_path / "scene.dgs"), "--preset", "tiny", "--frames", ":3", "-q"]
+    assert encode_main(arguments) == 0
+    assert capfd.readouterr().err.count(f"warning: camera cam03 was left out of frame 2: {rig}/cam03/0002.png: ") == 1
 
 
 CHILD = """

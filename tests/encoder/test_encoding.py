@@ -271,5 +271,3 @@ def test_metrics_stand_behind_their_frames_and_change_nothing_else(
     ]
     with open_stream(output) as stream:
         assert stream.frame_count == len(told)
-    with pytest.raises(UsageError, match="`metrics` cannot be resumed"):
-        encode_rig(moving_rig, output, metrics=True, resume=True, **options)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.change.flashes import MAX_FLASH_FRAMES, matches, may_be_flash
+from decogs.encoder.change.flashes import MAX_FLASH_FRAMES, changes_most, matches
 from decogs.encoder.change.masks import MaskMemory, PixelChange
 from decogs.encoder.frame.events import Event, PendingFrame, what_happened
 from decogs.encoder.frame.memory import Memory
@@ -38,8 +38,8 @@ def test_it_is_over_where_less_than_a_quarter_differs_from_before(rows: int, ove
 def test_only_views_that_show_their_frame_say_what_may_be_one(share: float, may_be: bool) -> None:
     raw = np.arange(10)[None] < 10 * share
     lost = PixelChange(np.zeros((1, 10), bool), 0.0, lost="black")
-    assert may_be_flash([PixelChange(raw, 0.0), lost, lost]) == may_be
-    assert not may_be_flash([lost])
+    assert changes_most([PixelChange(raw, 0.0), lost, lost]) == may_be
+    assert not changes_most([lost])
 
 
 def memory_of(picture: np.ndarray, motion: Motion = MOVING) -> Memory:
@@ -53,6 +53,7 @@ def happened(index: int, picture: np.ndarray, memory: Memory, scene: Any) -> Eve
         method=SimpleNamespace(dense=False),
         threads=1,
         views=SimpleNamespace(pictures=lambda splats: [DARK]),
+        ingest=SimpleNamespace(views=[]),
     )
     recorded = RigFrame(index, [picture], [])
     return what_happened(context, scene, memory, PendingFrame(recorded, recorded, {}), Stopwatch())
@@ -89,3 +90,11 @@ def test_a_light_is_a_flash_for_so_many_frames_and_then_stays() -> None:
         memory = happened(index, BRIGHT, memory, scene_of("bright")).memory
         assert (memory.before_flash is not None) == waits
     assert not happened(13, DARK, memory, scene_of("bright")).is_return
+
+
+def test_what_training_has_not_reached_yet_begins_no_flash() -> None:
+    """The bright picture is still compared with the dark one, on which all was last trained."""
+    memory = memory_of(DARK)
+    unreached = replace(memory, masks=replace(memory.masks, previous=[BRIGHT]))
+    assert happened(3, BRIGHT, unreached, scene_of("bright")).memory.before_flash is None
+    assert happened(3, BRIGHT, memory, scene_of("before")).memory.before_flash is not None

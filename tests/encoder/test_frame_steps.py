@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +17,7 @@ from decogs.codec.keyframes import new_state
 from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.state import ARRAYS, Attributes, State
 from decogs.decoder.hull import Hull
-from decogs.encoder.change.masks import FrameMask, MaskMemory
+from decogs.encoder.change.masks import FrameMask, MaskMemory, PixelChange
 from decogs.encoder.coding.rate_control import RateControl
 from decogs.encoder.coding.scene import IDS_PER_SEGMENT, Scene
 from decogs.encoder.frame.commit import Outcome, commit
@@ -77,9 +78,11 @@ def pending(index: int = 1, picture: np.ndarray = PICTURE, *, restarted: bool = 
 # The plan
 
 
-def planned(settings: Any, memory: Memory, picture: np.ndarray, fade: Any = None) -> FramePlan:
-    context = Stub(settings=settings, threads=1)
-    event = Event(Kind.CHANGE, Stub(), memory, [])
+def planned(
+    settings: Any, memory: Memory, picture: np.ndarray, fade: Any = None, changes: Sequence[PixelChange] = ()
+) -> FramePlan:
+    context = Stub(settings=settings, threads=1, views=Stub(pictures=lambda splats: [PICTURE]))
+    event = Event(Kind.CHANGE, Stub(splats=None), memory, changes)
     selection = Selection([EVERYWHERE], np.ones(3, bool))
     return plan_frame(context, event, selection, pending(picture=picture), fade, Stopwatch())
 
@@ -88,6 +91,20 @@ def test_a_frame_that_light_alone_changes_is_trained_with_settings_of_its_own() 
     plan = planned(replace(DRAFT, detect_per_frame=True), memory_of(), np.float32(1.3) * PICTURE)
     assert plan.effects == ("appearance_change",)
     assert plan.settings.rates.means == 0 < DRAFT.frame.rates.means
+
+
+@pytest.mark.parametrize(
+    ("gain", "relit"), [(1.05, False), (0.95, False), (2, True), (0.25, True)], ids=["more", "less", "on", "off"]
+)
+def test_light_that_changes_more_than_steps_follow_is_found_by_what_the_scene_misses(gain: float, relit: bool) -> None:
+    picture, settings = (
+        np.clip(np.float32(gain) * PICTURE, 0, 1).astype(np.float32),
+        replace(DRAFT, detect_per_frame=True),
+    )
+    of_a_part, of_all = (), [PixelChange(EVERYWHERE.raw, 0.0)]
+    plans = [planned(settings, memory_of(), picture, changes=changes) for changes in (of_a_part, of_all)]
+    assert [plan.relit for plan in plans] == [relit] * 2
+    assert [plan.effects == ("appearance_change",) for plan in plans] == [True, not relit], "all is trained for most"
 
 
 def test_a_frame_that_goes_over_keeps_to_the_budget_as_well() -> None:
@@ -141,6 +158,7 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
         settings=replace(DRAFT, segment=3, closed=True, catch_up=4),
         method=Stub(dense=True),
         views=Stub(update=lambda *_: None),
+        ingest=Stub(views=[]),
         stopping=lambda deadline: None,
     )
     event = Event(Kind.EVERYTHING, scene(1), memory_of(trainer=trainer), [])
@@ -202,7 +220,12 @@ class Masks:
 
 
 def committed(
-    *, restarted: bool = False, deferred: bool = False, truncated: bool = False, rejected: bool = False
+    *,
+    restarted: bool = False,
+    deferred: bool = False,
+    truncated: bool = False,
+    relit: bool = False,
+    rejected: bool = False,
 ) -> tuple[Memory, Masks]:
     masks: Any = Masks()
     states = ((state_of(3), "old"), (state_of(3, *([] if rejected else [1])), "new"))
@@ -210,7 +233,8 @@ def committed(
     after.displacements = lambda _: np.full((3, 3), 8, np.float32)
     views = Stub(update=lambda *_: None, of=lambda _: None, pictures=lambda splats: f"pictures of {splats}")
     context = Stub(settings=DRAFT, method=Stub(dense=False), views=views, corrector=None, threads=1)
-    plan = FramePlan(Selection([EVERYWHERE], np.ones(3, bool)), ("motion",), DRAFT.frame, deferred=deferred)
+    everything = Selection([EVERYWHERE], np.ones(3, bool))
+    plan = FramePlan(everything, ("motion",), DRAFT.frame, relit=relit, deferred=deferred)
     event = Event(Kind.CHANGE, before, memory_of(masks=masks), [])
     trained = None if deferred else Stub(kept=np.arange(3), truncated=truncated, rejected=rejected)
     memory, _ = commit(context, event, plan, pending(restarted=restarted), after, trained, Stopwatch())
@@ -222,9 +246,11 @@ def test_a_segments_first_frame_leaves_no_velocity() -> None:
     np.testing.assert_array_equal(committed(restarted=True)[0].motion.last, 0)
 
 
-@pytest.mark.parametrize(("truncated", "rendered"), [(True, "pictures of new"), (False, None)])
-def test_what_was_cut_short_is_compared_with_what_came_of_it(truncated: bool, rendered: str | None) -> None:
-    assert committed(truncated=truncated)[1].given == {
+@pytest.mark.parametrize(
+    ("how", "rendered"), [({"truncated": True}, "pictures of new"), ({"relit": True}, "pictures of new"), ({}, None)]
+)
+def test_what_training_may_have_missed_is_compared_with_what_came_of_it(how: Any, rendered: str | None) -> None:
+    assert committed(**how)[1].given == {
         "moved": True,
         "rendered": rendered,
         "threads": 1,

@@ -15,10 +15,11 @@ import pytest
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
+from decogs.encoder.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings, SignificanceSettings
 from decogs.encoder.training.frame_training import FrameTraining
-from decogs.encoder.training.method import TrainedFrame
+from decogs.encoder.training.method import TrainedFrame, TrainingContext
 from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
 from decogs.formats.errors import TrainingError
@@ -55,6 +56,33 @@ def error(case: Case, splats: Splats) -> float:
             ]
         )
     )
+
+
+@pytest.mark.parametrize("unit", [2.0**-10, 2.0**10])
+@pytest.mark.parametrize("name", ["cache", "dense", "direct"])
+def test_no_method_depends_on_the_unit_of_length(case: Case, name: str, unit: float) -> None:
+    """A power of two leaves the numbers' roundings as they are; the logarithms of sizes have others."""
+
+    def dense(context: TrainingContext) -> BaselineTrainer:
+        config = BaselineConfig(cache=CACHE, cache_iterations=30, spawn_iterations=4)
+        return BaselineTrainer(replace(context, population=len(case.scene)), config)
+
+    new: Any = {"cache": CACHED, "dense": dense, "direct": DecogsTrainer}[name]
+    found = [error(each, applied(each.scene, each.train(SETTINGS, new))) for each in (case, case.in_units(unit))]
+    assert found[1] == pytest.approx(found[0], rel=0.05)
+    assert found[0] != pytest.approx(error(case, case.scene), rel=0.05), "something was trained"
+
+
+@METHODS
+@pytest.mark.parametrize("gain", [4, 0.125])
+def test_colours_follow_a_light_that_steps_do_not_reach(case: Case, new: NewTrainer, gain: float) -> None:
+    """A tenth of the squared error that the same steps leave without gains; times 4 half of the pixels are clipped."""
+    kernel, few = CpuKernel(2), replace(SETTINGS, joint_iterations=4)
+    drawn = [kernel.forward(case.scene, view.pinhole).rgb.copy() for view in case.ingest.views]
+    pictures = [np.clip(np.float32(gain) * picture, 0, 1) for picture in drawn]
+    lit = replace(case, selected=np.ones(len(case.scene), bool), pictures=pictures)
+    left = [error(lit, applied(lit.scene, lit.train(few, new, relit=relit))) for relit in (False, True)]
+    assert left[1] < 0.1 * left[0]
 
 
 @METHODS

@@ -16,6 +16,7 @@ from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.late_view import LateView
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.sources import SourceOfAnother
+from decogs.formats.rigs.timeline import CameraClock, RigTime, Timeline
 from decogs.formats.splats import Splats, join_splats, take_splats
 from encode_rig import encode_rig
 
@@ -144,7 +145,7 @@ def late_rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_rig_says_which_cameras_are_late(late_rig: Path) -> None:
     rig = open_rig(late_rig)
-    assert rig.late == {"cam01": HALF, "cam03": HALF}
+    assert rig.timeline.late() == {"cam01": HALF, "cam03": HALF}
     assert rig.frame_count == FRAMES
 
 
@@ -168,7 +169,7 @@ class Chosen(SourceOfAnother):
 def test_views_that_were_not_trained_on_gain(tmp_path: Path) -> None:
     """The sample rig at half its rate, every second camera half a frame late; three that are in step are left out."""
     rig, left_out = open_rig(WORKBENCH), ["cam02", "cam06", "cam10"]
-    late = {camera.name: HALF for camera in rig.cameras[1::2]}
+    late = {camera.name: CameraClock(late=RigTime(HALF)) for camera in rig.cameras[1::2]}
     sources = [
         Chosen(source, (0, *range(2 + (camera.name in late), rig.frame_count, 2))[:4])
         for camera, source in zip(rig.cameras, rig.sources, strict=True)
@@ -178,7 +179,7 @@ def test_views_that_were_not_trained_on_gain(tmp_path: Path) -> None:
     encode_rig(rig, tmp_path / "key.dgs", frames=slice(1), **given)
     given["keyframe"] = tmp_path / "key.dgs"
     found = []
-    for each in rig, replace(rig, late=late):
+    for each in rig, replace(rig, timeline=Timeline(clocks=late)):
         report = encode_rig(each, tmp_path / "a.dgs", **given)
         found.append(np.mean([frame.held_out_psnr for frame in report.frames[2:]]))
     # On 14 frames the gain is .1 to .3 dB by preset; three seeds differ by .03.
@@ -195,14 +196,14 @@ def test_an_encode_of_late_cameras_goes_on_as_if_it_had_not_been_cut_off(
         encode_rig(open_rig(late_rig), tmp_path / f"{count}.dgs", frames=slice(count), **given)
         encode_rig(open_rig(late_rig), tmp_path / f"{count}.dgs", resume=True, **given)
         assert (tmp_path / f"{count}.dgs").read_bytes() == whole.read_bytes()
-    encode_rig(replace(open_rig(late_rig), late={}), tmp_path / "plain.dgs", **given)
+    encode_rig(replace(open_rig(late_rig), timeline=Timeline()), tmp_path / "plain.dgs", **given)
     assert (tmp_path / "plain.dgs").read_bytes() != whole.read_bytes()
 
 
 def test_closed_segments_take_every_camera_for_one_in_step(late_rig: Path, tmp_path: Path, tiny_settings: Any) -> None:
     """Their frames are trained backwards, and catch up: what moves then is not a frame's motion."""
     rig = open_rig(late_rig)
-    for name, each in ("late", rig), ("plain", replace(rig, late={})):
+    for name, each in ("late", rig), ("plain", replace(rig, timeline=Timeline())):
         output = tmp_path / f"{name}.dgs"
         encode_rig(each, output, settings=tiny_settings, effects="motion,emergence", segment=3, closed=True)
     assert (tmp_path / "late.dgs").read_bytes() == (tmp_path / "plain.dgs").read_bytes()

@@ -319,13 +319,21 @@ def test_frames_that_a_budget_leaves_no_time_for(
 
 
 def test_pictures_of_another_size(tmp_path: Path, sources: Path, moving_rig: Path) -> None:
+    """A later one is dropped, with the reason; the first one is an error."""
     import cv2
 
-    shutil.copytree(moving_rig, tmp_path / "capture")
-    path = tmp_path / "capture" / "cam01" / "0001.png"
-    picture = cv2.imread(str(path))
-    cv2.imwrite(str(path), picture[:-2])
-    with pytest.raises(RigError, match=r"0001\.png: .* pixels, but camera cam01 is calibrated for .*; record in that"):
+    folder = Path(shutil.copytree(moving_rig, tmp_path / "capture")) / "cam01"
+    lost: dict[tuple[int, str], str] = {}
+    cv2.imwrite(str(folder / "0001.png"), cv2.imread(str(folder / "0001.png"))[:-2])
+    frames = read_frames(open_live(sources), 0, 3, on_lost=lambda *found: lost.update({found[:2]: str(found[2])}))
+    shown = [pictures[1] for _, pictures in frames]
+    assert (shown[1] == shown[0]).all()
+    assert (shown[2] != shown[0]).any()
+    said = r"\.png: .* pixels, but camera cam01 is calibrated for .*; record in that"
+    assert list(lost) == [(1, "cam01")]
+    assert re.search("0001" + said, lost[1, "cam01"])
+    shutil.copyfile(folder / "0001.png", folder / "0000.png")
+    with pytest.raises(RigError, match="0000" + said):
         list(read_frames(open_live(sources)))
 
 

@@ -35,7 +35,7 @@ from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import frame_span
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.formats.container import PacketKind, StreamWriter
-from decogs.formats.errors import RigError, UsageError
+from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.kernels import INSTRUCTION_SETS, best_instruction_set
 from decogs.formats.rigs import open_rig
 
@@ -221,9 +221,9 @@ def test_processor_seconds_are_those_of_the_frame_without_the_measuring(
     spent = [0.0]
 
     def costly(function: Any, seconds: float) -> Any:
-        def run(*arguments: Any) -> Any:
+        def run(*arguments: Any, **named: Any) -> Any:
             spent[0] += seconds
-            return function(*arguments)
+            return function(*arguments, **named)
 
         return run
 
@@ -416,17 +416,25 @@ def test_ctrl_c_during_the_keyframe_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def fails_at(frame: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    encode_one = stream_encoder.encode_frame
+
+    def failing(*arguments: Any) -> Any:
+        if arguments[-1].recorded.index == frame:
+            raise TrainingError(f"frame {frame}: no number")
+        return encode_one(*arguments)
+
+    monkeypatch.setattr(stream_encoder, "encode_frame", failing)
+
+
 def test_an_error_at_a_later_frame_leaves_what_was_complete_beside_the_name(
-    moving: Any, encode: Any, moving_rig: Path, tiny_rig: Any, tmp_path: Path
+    moving: Any, encode: Any, moving_rig: Path, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = tiny_rig.poisoned(moving_rig, tmp_path / "rig", tiny_rig.held_out)
-    broken = rig / "cam03" / "0002.png"
-    broken.write_bytes(broken.read_bytes()[:300])
     output = tmp_path / "out" / "scene.dgs"
     output.parent.mkdir()
-    with pytest.raises(
-        RigError, match=r"cam03/0002\.png.*; the 2 frames before it are in .*scene\.dgs\.part"
-    ) as raised:
+    fails_at(2, monkeypatch)
+    with pytest.raises(TrainingError, match=r"no number; the 2 frames before it are in .*scene\.dgs\.part") as raised:
         encode(rig, output=output)
     assert "\n" not in str(raised.value)
     assert not output.exists()
@@ -436,14 +444,13 @@ def test_an_error_at_a_later_frame_leaves_what_was_complete_beside_the_name(
 
 
 def test_an_older_stream_survives_until_the_new_one_is_whole(
-    encode: Any, moving_rig: Path, tiny_rig: Any, tmp_path: Path
+    encode: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = tiny_rig.poisoned(moving_rig, tmp_path / "rig", "cam00")
-    (rig / "cam00" / "0001.png").write_bytes(b"no picture")
     output = tmp_path / "scene.dgs"
     output.write_bytes(b"old")
-    with pytest.raises(RigError):
-        encode(rig, output=output)
+    fails_at(1, monkeypatch)
+    with pytest.raises(TrainingError):
+        encode(moving_rig, output=output)
     assert output.read_bytes() == b"old"
     output.with_name("scene.dgs.part").unlink()
     assert decoded(encode(moving_rig, output=output, stop=1).path)

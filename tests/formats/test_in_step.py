@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.encoder.synchronisation.sync_file import read_starts
 from decogs.formats.errors import RigError
 from decogs.formats.mattes.per_frame import matte_rig
 from decogs.formats.rigs import Rig, in_step, open_recordings, open_rig, read_frames
+from decogs.formats.rigs.timeline import RigIndex
 
 LENGTH = 9
 
@@ -64,6 +66,28 @@ def test_lengths_may_differ_where_starts_are_known_and_are_refused_where_not(tmp
 def test_seconds_count_at_the_rate_of_the_rig(tmp_path: Path, make: Any) -> None:
     rig = open_rig(written(tmp_path, make, [0.0, 0.1, 0.0], start_unit="seconds"))
     assert shown(rig)[0] == [3, 0, 3]
+
+
+@pytest.mark.parametrize("fps", [15, 29.97, 60])
+@pytest.mark.parametrize(("unit", "late"), [("frames", 3), ("seconds", 0.1)])
+def test_starts_count_as_recorded_whatever_rate_is_stated(
+    tmp_path: Path, make: Any, fps: float, unit: str, late: float
+) -> None:
+    """Videos of 30 frames a second, which a stream plays at another rate."""
+    rig = open_rig(written(tmp_path, make, [0, late, 0], start_unit=unit, fps=fps))
+    assert shown(rig)[0] == [3, 0, 3]
+    assert rig.fps == fps
+    assert rig.timeline.rate == 30
+    assert rig.timeline.clock("cam00").recorded_index(RigIndex(2)) == 5
+
+
+def test_a_sync_file_counts_in_the_rate_that_it_states(tmp_path: Path, make: Any) -> None:
+    recordings = open_recordings(written(tmp_path, make, [None] * 3, fps=15))
+    file = tmp_path / "sync.json"
+    for fps, offset in (30, 3), (15, 1.5), ("30000/1001", 2.997), (None, 3):
+        cameras = [{"name": "cam00", "offset": 0}, {"name": "cam01", "offset": offset}, {"name": "cam02", "offset": 0}]
+        file.write_text(json.dumps({"fps": fps, "cameras": cameras}))
+        assert shown(in_step(recordings, read_starts(file, recordings)))[0] == [3, 0, 3], fps
 
 
 def test_what_is_below_a_frame_is_said_and_as_little_as_can_be(tmp_path: Path, make: Any) -> None:

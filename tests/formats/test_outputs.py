@@ -11,8 +11,11 @@ import pytest
 from decogs.formats.container import SIGNATURE
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import (
+    JSON,
+    STREAM,
     GrowingFile,
     Output,
+    check_folder_name,
     check_outputs,
     check_writable,
     open_in_place,
@@ -72,6 +75,48 @@ def test_an_open_file_counts_and_devices_may_be_named_twice(tmp_path: Path) -> N
         check_outputs([Output("output", piped), Output("log", tmp_path / "out")], [])
     null = Path(os.devnull)
     check_outputs([Output("log", null), Output("convergence_log", null)], [])
+
+
+@pytest.mark.parametrize(
+    "name", ["film.mp4", "FILM.MOV", "scene.ply", "notes.txt", "rig.json", "scene.dgs.zip", "link"]
+)
+def test_a_stream_gets_no_name_of_another_format(tmp_path: Path, name: str) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "film.mp4")
+    with pytest.raises(UsageError, match=rf"`output` .*{name}: \.\w+ is another format, and a \.dgs stream is written"):
+        check_outputs([Output("output", tmp_path / name, grows=True, format=STREAM)], [])
+
+
+@pytest.mark.parametrize("name", ["a.dgs", "A.DGS", "a", "a.v2", "a.dgs.old"])
+def test_only_a_stream_is_replaced_by_a_stream(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    output = Output("output", path, grows=True, format=STREAM)
+    check_outputs([output], [])
+    for replaced in (b"", SIGNATURE + b"more"):
+        path.write_bytes(replaced)
+        check_outputs([output], [])
+    for kept in (b"film", SIGNATURE[:-1], b"{}"):
+        path.write_bytes(kept)
+        with pytest.raises(UsageError, match=r"a file is there that is not a \.dgs stream, and is not replaced"):
+            check_outputs([output], [])
+
+
+def test_a_log_replaces_json_alone(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.write_bytes(b'\n {"event": 1}')
+    check_outputs([Output("log", log, format=JSON)], [])
+    log.write_bytes(b"dear diary")
+    with pytest.raises(UsageError, match=r"`log` .*log: a file is there that is not JSON"):
+        check_outputs([Output("log", log, format=JSON)], [])
+
+
+def test_no_folder_gets_the_name_of_a_file(tmp_path: Path) -> None:
+    for name in ("new", "take.1", "there.mp4"):
+        (tmp_path / "there.mp4").mkdir(exist_ok=True)
+        check_folder_name(tmp_path / name)
+    (tmp_path / "file").touch()
+    for name, said in (("sync.json", r"\.json ends the name of a file"), ("file", "is a file; name a folder")):
+        with pytest.raises(UsageError, match=said):
+            check_folder_name(tmp_path / name)
 
 
 def test_a_growing_file_has_one_writer_until_it_has_its_name(tmp_path: Path) -> None:

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
 
 from decogs.formats.errors import RigError
-from decogs.formats.pictures import picture_facts, read_picture
+from decogs.formats.pictures import picture_facts, read_alpha, read_picture
 
 RNG = np.random.default_rng(7)
 RGB = RNG.integers(0, 256, (12, 20, 3), dtype=np.uint8)
@@ -120,7 +121,7 @@ def whole_file(suffix: str, folder: Path) -> bytes:
     return cv2.imencode(suffix, RGB)[1].tobytes()
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".exr"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp", ".bmp", ".exr"])
 def test_every_truncation_is_one_quiet_error(tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]) -> None:
     data = whole_file(suffix, tmp_path)
     path = tmp_path / f"cut{suffix}"
@@ -217,3 +218,50 @@ def test_a_device_is_no_picture(tmp_path: Path, look: Callable[[Path], object]) 
 def test_missing_picture(tmp_path: Path) -> None:
     with pytest.raises(RigError, match=r"gone\.png: cannot be read"):
         read_picture(tmp_path / "gone.png")
+
+
+# --- WebP and BMP ---------------------------------------------------------------------------------------------------
+
+
+def coded(suffix: str, pixels: np.ndarray) -> bytes:
+    """Without loss."""
+    quality = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
+    return cv2.imencode(suffix, pixels, quality)[1].tobytes()
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".bmp"])
+def test_webp_and_bmp_are_read_exactly(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    alpha = RNG.integers(1, 256, RGB.shape[:2], dtype=np.uint8)
+    for bgr in (RGB[:, :, ::-1], np.dstack([RGB[:, :, ::-1], alpha])):
+        path.write_bytes(coded(suffix, bgr))
+        np.testing.assert_array_equal(read_picture(path), RGB)
+        assert picture_size(path) == (20, 12)
+    has_alpha = read_alpha(path)
+    if suffix == ".webp":
+        np.testing.assert_allclose(has_alpha, alpha / 255, rtol=1e-6)
+    else:
+        assert has_alpha is None, "nobody says whether a BMP's fourth byte is alpha"
+    path.write_bytes(coded(suffix, RGB[:, :, 0]))
+    np.testing.assert_array_equal(read_picture(path), np.repeat(RGB[:, :, :1], 3, axis=2))
+
+
+def test_webp_says_its_size_orientation_and_profile(tmp_path: Path) -> None:
+    data = Image.Exif()
+    data[274] = 6
+    for kind in (False, True):
+        Image.fromarray(RGB).save(tmp_path / "a.webp", lossless=kind, exif=data.tobytes(), icc_profile=b"no profile")
+        facts = picture_facts(tmp_path / "a.webp")
+        assert (facts.width, facts.height, facts.orientation) == (20, 12, 6)
+        assert "ICC profile that is damaged" in facts.warnings[0]
+    Image.fromarray(RGB).save(tmp_path / "a.webp")
+    assert picture_size(tmp_path / "a.webp") == (20, 12)
+    Image.fromarray(RGB).save(tmp_path / "a.webp", save_all=True, append_images=[Image.fromarray(255 - RGB)])
+    with pytest.raises(RigError, match=r"a\.webp: a moving WebP is not read; write a picture for each frame"):
+        read_picture(tmp_path / "a.webp")
+
+
+def test_a_bmp_of_few_colours_is_refused(tmp_path: Path) -> None:
+    Image.fromarray(RGB[:, :, 0]).convert("1").save(tmp_path / "a.bmp")
+    with pytest.raises(RigError, match=r"a\.bmp: BMP of other than 8, 24 or 32 plain bits is not read"):
+        picture_facts(tmp_path / "a.bmp")

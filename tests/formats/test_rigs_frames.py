@@ -14,7 +14,8 @@ import pytest
 
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.pictures import Picture
-from decogs.formats.rigs import FrameSource, Rig, open_rig, read_frames
+from decogs.formats.rigs import FrameSource, Rig, open_rig, read_frames, read_repeating
+from decogs.formats.rigs.sources import open_source
 
 
 @dataclass
@@ -135,6 +136,20 @@ def test_a_video_that_shrinks_after_opening_is_named(tmp_path: Path, make: Any) 
     with pytest.raises(RigError, match=r"cam01\.mp4: the video ends or is damaged at frame 3"):
         seen.extend(index for index, _ in read_frames(rig))
     assert seen == [0, 1, 2]
+
+
+def test_a_recording_alone_goes_on_after_a_damaged_picture(tmp_path: Path, make: Any) -> None:
+    """As cameras are synchronised by motion: there each is read by itself. Its first picture must be there."""
+    make.pictures(tmp_path / "cam00", frames=6)
+    source = open_source(tmp_path / "cam00")
+    whole = list(source.read(0, 6))
+    for damaged in (1, 2, 4):
+        (tmp_path / "cam00" / f"{damaged:04d}.png").write_bytes(b"no picture")
+    for frames, expected in ((range(6), (0, 0, 0, 3, 3, 5)), (range(0, 6, 2), (0, 0, 0)), (range(3, 6), (3, 3, 5))):
+        for picture, place in zip(read_repeating(source, frames), expected, strict=True):
+            np.testing.assert_array_equal(picture, whole[place])
+    with pytest.raises(RigError, match=r"cam00/0001\.png"):
+        next(read_repeating(source, range(1, 6)))
 
 
 def test_a_picture_of_another_size_or_with_nan_is_named(tmp_path: Path, make: Any) -> None:

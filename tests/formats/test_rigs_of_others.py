@@ -18,7 +18,17 @@ import pytest
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import files_of, open_rig, read_frames
-from rig_layouts import CASES, FRAMES, LayoutCase, camera_to_world, picture, write_easyvolcap, write_pictures
+from rig_layouts import (
+    CASES,
+    FRAMES,
+    LayoutCase,
+    camera_to_world,
+    cameras,
+    picture,
+    write_aniposelib,
+    write_easyvolcap,
+    write_pictures,
+)
 
 WORLD_POINTS = np.array([[0.3, 0.1, 0.5], [0.1, 0.2, 0.3], [-0.2, 0.0, 0.1]])
 OF_COLMAP = ("multipleview", "colmap4d", "frame folders")
@@ -307,6 +317,43 @@ def test_a_video_that_may_be_of_two_cameras(tmp_path: Path) -> None:
     refused(tmp_path, "may be of camera 'left' or 'mid'")
 
 
+@pytest.mark.parametrize(
+    "name", ["calib-charuco-cam{}-compressed", "2019-08-02-vid01-cam{}", "Camera{}", "hand-{}-test"]
+)
+def test_cam_may_stand_before_a_camera_s_name(tmp_path: Path, name: str) -> None:
+    """As in aniposelib's tutorial, whose cameras are called A, B and C."""
+    letters = ["A", "B", "C"]
+    write_aniposelib(tmp_path, cameras("opencv", letters))
+    for letter in letters:
+        (tmp_path / f"take1_{letter}.mp4").rename(tmp_path / f"{name.format(letter)}.mp4")
+    rig = open_rig(tmp_path)
+    assert [(camera.name, source.path.stem) for camera, source in zip(rig.cameras, rig.sources, strict=True)] == [
+        (letter, name.format(letter)) for letter in letters
+    ]
+
+
+def test_a_camera_whose_file_has_an_unknown_ending_is_not_called_missing(tmp_path: Path) -> None:
+    case = CASES[1]
+    case.write(tmp_path, case.rig())
+    (tmp_path / "calibration.toml").rename(tmp_path / "calib_mid.toml")
+    (tmp_path / "take1_mid.mp4").rename(tmp_path / "take1_mid.wmv")
+    refused(tmp_path, r"take1_mid\.wmv: files ending in \.wmv are not read as frames")
+    (tmp_path / "take1_mid.wmv").unlink()
+    refused(tmp_path, r"no video or picture folder of camera 'mid' in")
+
+
+@pytest.mark.parametrize(
+    ("layout", "file"),
+    [("technicolor", "*.png"), ("frame folders", "frame000002/images/cam02.png"), ("colmap4d", "frame_0002/cam02.png")],
+)
+def test_pictures_of_an_unknown_ending_are_not_called_missing(tmp_path: Path, layout: str, file: str) -> None:
+    case = next(case for case in CASES if case.layout == layout)
+    case.write(tmp_path, case.rig())
+    for path in list(tmp_path.glob(file)):
+        path.rename(path.with_suffix(".heic"))
+    refused(tmp_path, r"\.heic (is there|are not read)|files ending in \.heic are not read")
+
+
 def test_the_calibration_may_be_in_a_folder_of_its_own(tmp_path: Path) -> None:
     """As Pose2Sim's sessions have it: ``calibration/`` and ``videos/``."""
     for index, name in (1, "Calib_scene.toml"), (3, "take.qca.txt"):
@@ -340,7 +387,7 @@ def test_without_h5py(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case = next(case for case in CASES if case.layout == "dna-rendering")
     case.write(tmp_path, case.rig())
     monkeypatch.setitem(sys.modules, "h5py", None)
-    refused(tmp_path, r"_annots\.smc: is HDF5, which needs the package h5py; pip install 'decogs\[h5\]'")
+    refused(tmp_path, r"_annots\.smc: is HDF5, which needs the package h5py; pip install .*\[h5\]'")
 
 
 def test_pictures_inside_a_file_are_in_step(tmp_path: Path) -> None:

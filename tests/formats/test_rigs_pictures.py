@@ -174,6 +174,13 @@ def test_what_lies_beside_a_camera_s_frames_is_no_hindrance(tmp_path: Path, make
         open_rig(tmp_path)
 
 
+def test_a_file_of_another_ending_is_named_where_one_is_missing(tmp_path: Path, make: Any) -> None:
+    make.rig_json(tmp_path)
+    (tmp_path / "cam01.mp4").rename(tmp_path / "cam01.heic")
+    with pytest.raises(RigError, match=r"cam01\.mp4 is missing, but cam01\.heic is there; put it back"):
+        open_rig(tmp_path)
+
+
 # --- EXIF orientation -----------------------------------------------------------------------------------------------
 
 

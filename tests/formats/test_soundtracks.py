@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import wave
 from fractions import Fraction
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 
 from decogs.formats.errors import UsageError
 from decogs.formats.opus import BLOCK, OpusDecoder, OpusEncoder
-from decogs.formats.soundtracks import FULL_RATE, read_samples, sound_channels
+from decogs.formats.soundtracks import FULL_RATE, RATE, read_samples, read_sound, sound_channels
 from videos_with_sound import write_video
 
 
@@ -61,6 +62,108 @@ def test_a_video_is_heard_from_a_picture_on(tmp_path: Path) -> None:
     for picture in (0, 7):
         samples = heard(tmp_path / "a.mp4", picture=times[picture])
         assert onset(samples) == pytest.approx(0.5 - picture / 30, abs=0.001)
+
+
+def write_microphones(path: Path, clicks: list[float], languages: tuple[str, ...] = ()) -> None:
+    """Two seconds of video whose mono tracks have a click each, at these times; 0 is none."""
+    with av.open(str(path), "w") as file:
+        video = file.add_stream("mpeg4", rate=30)
+        video.width, video.height, video.pix_fmt = 32, 32, "yuv420p"
+        tracks = [file.add_stream("pcm_s16le", rate=48_000, layout="mono") for _ in clicks]
+        for track, language in zip(tracks, languages, strict=False):
+            track.metadata["language"] = language
+        for number in range(60):
+            picture = av.VideoFrame.from_ndarray(np.full((32, 32, 3), 90, np.uint8), format="rgb24")
+            picture.pts = number
+            file.mux(video.encode(picture))
+        for track, at in zip(tracks, clicks, strict=True):
+            samples = np.zeros((1, 96_000), np.int16)
+            samples[:, int(at * 48_000) : int(at * 48_000) + 480 * bool(at)] = 26_000
+            for begin in range(0, 96_000, 960):
+                frame = av.AudioFrame.from_ndarray(samples[:, begin : begin + 960], format="s16", layout="mono")
+                frame.sample_rate, frame.pts, frame.time_base = 48_000, begin, Fraction(1, 48_000)
+                file.mux(track.encode(frame))
+        file.mux(video.encode(None))
+
+
+@pytest.mark.parametrize("clicks", [[0.5, 1.2], [0, 1.2], [0.5, 1.2, 0.9, 0]])
+def test_every_microphone_is_heard_left_and_right_in_turn(tmp_path: Path, clicks: list[float]) -> None:
+    """Cameras record a mono track for each; with two, each at its level on its side."""
+    write_microphones(tmp_path / "a.mov", clicks)
+    assert sound_channels(tmp_path / "a.mov") == 2
+    level = 26_000 / 32_768 * 2 / len(clicks)
+    stereo, mono = heard(tmp_path / "a.mov", 2, picture=0), heard(tmp_path / "a.mov", 1)
+    assert stereo.shape == (2, 96_000)
+    for number, at in enumerate(clicks):
+        side = stereo[number % 2]
+        assert side[int(at * 48_000)] == pytest.approx(level if at else 0, abs=1e-3)
+        assert mono[0, int(at * 48_000)] == pytest.approx(level / 2 if at else 0, abs=1e-3)
+    sound = read_sound(tmp_path / "a.mov", 10)
+    for at in filter(None, clicks):
+        assert sound.samples[int((at - sound.delay) * RATE) + 40] == pytest.approx(level / 2, abs=0.01)
+
+
+def test_a_track_that_begins_hours_later_takes_no_memory(tmp_path: Path) -> None:
+    """Time stamps are a stranger's: sound is compared within the seconds that were asked for."""
+    with av.open(str(tmp_path / "a.mkv"), "w") as file:
+        video = file.add_stream("mpeg4", rate=30)
+        video.width, video.height, video.pix_fmt = 32, 32, "yuv420p"
+        tracks = [file.add_stream("pcm_s16le", rate=48_000, layout="mono") for _ in range(2)]
+        picture = av.VideoFrame.from_ndarray(np.full((32, 32, 3), 90, np.uint8), format="rgb24")
+        picture.pts = 0
+        file.mux(video.encode(picture))
+        file.mux(video.encode(None))
+        for track, second in zip(tracks, (0, 10**6), strict=True):
+            frame = av.AudioFrame.from_ndarray(np.full((1, 960), 9_000, np.int16), format="s16", layout="mono")
+            frame.sample_rate, frame.pts, frame.time_base = 48_000, second * 48_000, Fraction(1, 48_000)
+            file.mux(track.encode(frame))
+    sound = read_sound(tmp_path / "a.mkv", 10)
+    assert sound.samples.max() == pytest.approx(9_000 / 32_768, rel=0.1)
+    assert len(sound.samples) < RATE
+
+
+def test_another_language_is_no_microphone(tmp_path: Path) -> None:
+    write_microphones(tmp_path / "a.mkv", [0.5, 1.2], ("eng", "fra"))
+    assert sound_channels(tmp_path / "a.mkv") == 1
+    assert not heard(tmp_path / "a.mkv")[0, int(1.1 * 48_000) :].any()
+
+
+@pytest.mark.parametrize(("ending", "codec"), [("ac3", "ac3"), ("eac3", "eac3"), ("wma", "wmav2"), ("au", "pcm_s16be")])
+def test_files_of_other_programs_are_heard(tmp_path: Path, ending: str, codec: str) -> None:
+    samples = np.zeros((1, 96_256), np.float32)
+    samples[:, 24_000:24_480] = 0.8 * np.sin(np.arange(480))
+    with av.open(str(tmp_path / f"a.{ending}"), "w", format="asf" if ending == "wma" else None) as file:
+        track = file.add_stream(codec, rate=48_000, layout="mono")
+        track.bit_rate = 128_000
+        given = {"pcm_s16be": "s16"}.get(codec, "fltp")
+        data = (samples * 32_767).astype(np.int16) if given == "s16" else samples
+        resampler = av.AudioResampler(format=given, layout="mono", rate=48_000, frame_size=track.frame_size or 1024)
+        frame = av.AudioFrame.from_ndarray(data, format=given, layout="mono")
+        frame.sample_rate, frame.pts, frame.time_base = 48_000, 0, Fraction(1, 48_000)
+        for part in resampler.resample(frame):
+            file.mux(track.encode(part))
+        file.mux(track.encode(None))
+    found = heard(tmp_path / f"a.{ending}")[0]
+    assert int(np.argmax(np.abs(found) > 0.3)) == pytest.approx(24_000, abs=2100), "a codec's own delay"
+
+
+def test_what_is_no_file_or_changes_is_refused(tmp_path: Path) -> None:
+    """A named pipe nobody writes into would be waited for."""
+    os.mkfifo(tmp_path / "pipe.wav")
+    for path in (tmp_path / "pipe.wav", tmp_path, Path(os.devnull)):
+        with pytest.raises(UsageError, match="cannot be read as audio"):
+            sound_channels(path)
+    write_click(tmp_path / "a.wav", 48_000)
+    coming = read_samples(tmp_path / "a.wav", 1)
+    next(coming)
+    write_click(tmp_path / "a.wav", 48_000, seconds=3)
+    with pytest.raises(UsageError, match=r"a\.wav: changed while it was read"):
+        next(coming)
+
+
+def test_a_file_without_a_sample_has_no_sound(tmp_path: Path) -> None:
+    write_click(tmp_path / "a.wav", 48_000, seconds=0)
+    assert sound_channels(tmp_path / "a.wav") is None
 
 
 def test_a_gap_is_silence_and_what_follows_stays_in_its_place(tmp_path: Path) -> None:

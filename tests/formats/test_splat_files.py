@@ -6,6 +6,7 @@ import gzip
 import io
 import json
 import os
+import re
 import shutil
 import struct
 import subprocess
@@ -191,6 +192,21 @@ def test_spz_has_as_many_fraction_bits_as_the_farthest_leaves(farthest: float, b
     assert (form.fraction_bits, form.sh1_bits, form.sh_rest_bits, left_out) == (bits, 8, 8, [])
     splats = replace(random_splats(1, 1), means=np.float32([[farthest, -farthest, 0]]))
     np.testing.assert_allclose(form.decode(form.encode(splats)).means, splats.means, atol=0.5**bits / 2 * 1.01)
+
+
+@pytest.mark.parametrize(("log_scale", "held"), [(-9.9, True), (-10.1, False), (5.9, True), (6.0, False)])
+def test_spz_holds_sizes_between_two_ends(log_scale: float, held: bool) -> None:
+    splats = replace(SPZ_SPLATS, log_scales=np.full_like(SPZ_SPLATS.log_scales, log_scale))
+    least, most = Spz.log_scales
+    assert (least <= log_scale <= most) == held
+    assert np.allclose(Spz().decode(Spz().encode(splats)).log_scales, log_scale, atol=1 / 32) == held
+
+
+def test_spz_says_what_it_clamps_and_where_positions_are_coarse() -> None:
+    said = Spz().fitted(Extremes(90, 100, 3.0, 0, clamped=7))[1]
+    assert len(said) == 1
+    assert re.search(r"sizes of 7 Gaussians of a frame with 100 .* 4.5e-05 to 379 units", said[0])
+    assert re.search(r"steps of 6.1e-05 units", Spz().fitted(Extremes(1, 1, 3e-3, 0))[1][0])
 
 
 def test_ply_states_the_compensation_in_a_comment_and_nothing_else_changes() -> None:

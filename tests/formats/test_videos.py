@@ -20,10 +20,12 @@ import numpy as np
 import pytest
 
 from decogs.formats import videos
+from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
-from decogs.formats.rigs import open_rig, read_frames
+from decogs.formats.rigs import Rig, open_rig, read_frames
 from decogs.formats.video_colours import to_rgb
 from decogs.formats.videos import VideoSource, open_video
+from rig_layouts import cameras, write_model
 
 CODEC_TOLERANCE = 4
 """MPEG-4 part 2 at OpenCV's default rate keeps a flat colour within 4 of 255 steps, limited range included."""
@@ -76,8 +78,8 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     log: list[int] = []
     real = videos._decoded
 
-    def logged(*arguments: Any) -> Iterator[Any]:
-        for frame in real(*arguments):
+    def logged(*arguments: Any, **options: Any) -> Iterator[Any]:
+        for frame in real(*arguments, **options):
             log.append(1)
             yield frame
 
@@ -202,6 +204,39 @@ def test_a_frame_dropped_by_the_decoder_is_named(tmp_path: Path, make: Any) -> N
     assert [next(reader).shape for _ in range(3)] == [(48, 64, 3)] * 3
     with pytest.raises(RigError, match=r"a\.mp4: frame 3 is damaged or missing"):
         list(reader)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "a.avi"])
+def test_damage_costs_the_frames_up_to_the_next_keyframe(tmp_path: Path, name: str) -> None:
+    """Wherever reading starts: what is predicted from a damaged frame is damaged; a rig reads the others."""
+    write(tmp_path / name, "mpeg4", frames=12, options={"g": "5", "b": "4M"})
+    whole = list(open_video(tmp_path / name).read(0, 12))
+    damage_packet(tmp_path / name, 6)
+    source = open_video(tmp_path / name)
+    assert source.frame_count == 12
+    for start in (0, 5, 6, 7, 9, 10, 11):
+        for index, picture in read_what_can_be(source, start).items():
+            np.testing.assert_array_equal(picture, whole[index])
+    assert list(read_what_can_be(source, 0)) == [0, 1, 2, 3, 4, 5, 10, 11]
+    assert list(read_what_can_be(source, 8)) == [10, 11]
+
+
+def damage_packet(path: Path, index: int) -> None:
+    with av.open(str(path)) as container:
+        data = [bytes(packet) for packet in container.demux(video=0) if packet.size][index]
+    whole = path.read_bytes()
+    middle = data[len(data) // 3 : len(data) // 3 + 60]
+    assert whole.count(middle) == 1
+    path.write_bytes(whole.replace(middle, b"U" * len(middle)))
+
+
+def read_what_can_be(source: VideoSource, start: int) -> dict[int, np.ndarray]:
+    """The frames from ``start`` on as a rig reads them, without those that are lost."""
+    camera = Camera("a", source.width, source.height, 50, 50, 32, 24, np.eye(4))
+    rig = Rig(source.path, "one", (camera,), (source,), None, source.frame_count)
+    lost: list[int] = []
+    frames = read_frames(rig, start, on_lost=lambda index, name, error: lost.append(index))
+    return {index: picture for index, (picture,) in frames if index not in lost}
 
 
 def test_early_end_names_file_and_frame(tmp_path: Path, make: Any) -> None:
@@ -329,6 +364,84 @@ def test_frames_are_in_order_where_only_their_coding_has_times(tmp_path: Path, n
         shown = [to_rgb(frame, source.siting) for frame in container.decode(video=0)]
     assert all((ours == theirs).all() for ours, theirs in zip(frames, shown, strict=True))
     np.testing.assert_array_equal(list(source.read(120, 123)), frames[120:123])
+
+
+@pytest.mark.parametrize("b_frames", [0, 1, 2, 3])
+def test_the_packed_bitstream_of_xvid_is_read_as_it_is_shown(tmp_path: Path, b_frames: int) -> None:
+    """A chunk with a picture and the first one that is shown before it, and an empty chunk in place of that one."""
+    coded = mpeg4_packets(14, b_frames)
+    expected = shown_by(coded)
+    for name, chunks in (("packed.avi", packed(coded)), ("plain.avi", coded)):
+        write_chunks(tmp_path / name, chunks)
+        source = open_video(tmp_path / name)
+        assert source.frame_count == len(expected) == 14
+        for start in (0, 5):
+            for picture, frame in zip(source.read(start, 14), expected[start:], strict=True):
+                np.testing.assert_array_equal(picture, to_rgb(frame, source.siting))
+
+
+def test_frames_that_a_recorder_dropped_repeat_the_one_before(tmp_path: Path) -> None:
+    """AVI has an empty chunk for each; a take stays in step."""
+    coded = mpeg4_packets(14, 0)
+    expected = [to_rgb(frame, (True, False)) for frame in shown_by(coded[:4] + coded[6:9] + coded[10:])]
+    write_chunks(tmp_path / "a.avi", [b"" if place in (4, 5, 9) else chunk for place, chunk in enumerate(coded)])
+    source = open_video(tmp_path / "a.avi")
+    order = [0, 1, 2, 3, 3, 3, 4, 5, 6, 6, 7, 8, 9, 10]
+    for start in (0, 4, 5, 6, 10):
+        for picture, place in zip(source.read(start, 14), order[start:], strict=True):
+            np.testing.assert_array_equal(picture, expected[place])
+
+
+def mpeg4_packets(frames: int, b_frames: int) -> list[bytes]:
+    coder = av.CodecContext.create("mpeg4", "w")
+    coder.width, coder.height, coder.pix_fmt, coder.time_base, coder.framerate = 64, 48, "yuv420p", Fraction(1, 25), 25
+    coder.max_b_frames, coder.gop_size, coder.bit_rate = b_frames, 7, 4_000_000
+    packets = []
+    for t in range(frames):
+        frame = av.VideoFrame.from_ndarray(np.roll(texture((64, 48)), 3 * t, axis=1), format="rgb24")
+        frame = frame.reformat(format="yuv420p")
+        frame.pts, frame.time_base = t, Fraction(1, 25)
+        packets += coder.encode(frame)
+    return [bytes(packet) for packet in [*packets, *coder.encode()]]
+
+
+def shown_by(packets: list[bytes]) -> list[av.VideoFrame]:
+    coder = av.CodecContext.create("mpeg4", "r")
+    return [frame for packet in [*map(av.Packet, packets), None] for frame in coder.decode(packet)]
+
+
+def packed(packets: list[bytes]) -> list[bytes]:
+    """As XviD and DivX pack them. Source: ISO 14496-2, section 6.2.5 (vop_coding_type, vop_coded)."""
+
+    def is_b(packet: bytes) -> bool:
+        return packet[packet.index(b"\0\0\1\xb6") + 4] >> 6 == 2
+
+    not_coded = b"\0\0\1\xb6\x50\x5f"
+    chunks: list[bytes] = []
+    for place, packet in enumerate(packets):
+        marked = re.sub(b"\0\0\1\xb2[^\0]*", lambda _: b"\0\0\1\xb2DivX503b1393p", packet)
+        if not is_b(packet):
+            chunks.append(marked)
+        elif not is_b(packets[place - 1]):
+            chunks[-1] += marked
+        else:
+            chunks.append(marked)
+        if is_b(packet) and (place + 1 == len(packets) or not is_b(packets[place + 1])):
+            chunks.append(not_coded)
+    return chunks
+
+
+def write_chunks(path: Path, chunks: list[bytes]) -> None:
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt, stream.time_base = 64, 48, "yuv420p", Fraction(1, 25)
+        stream.codec_context.codec_tag = "XVID"
+        for place, chunk in enumerate(chunks):
+            packet = av.Packet(chunk)
+            packet.pts = packet.dts = place
+            packet.time_base, packet.stream, packet.duration = Fraction(1, 25), stream, 1
+            packet.is_keyframe = b"\0\0\1\xb0" in chunk
+            container.mux(packet)
 
 
 def test_reordered_frames_of_the_sample_rig() -> None:
@@ -506,6 +619,84 @@ def test_pictures_are_turned_and_mirrored_as_shown(tmp_path: Path, turns: int, f
         assert picture.shape == turned.shape == (source.height, source.width, 3)
         assert np.abs(picture.astype(float) - turned).mean() < 3
         assert picture.flags.c_contiguous
+
+
+def with_aperture(mp4: bytes, *values: int) -> bytes:
+    """The file with a clean aperture: numerators and denominators of width, height, and right and down off the middle.
+
+    Source: ISO 14496-12, section 12.1.4.
+    """
+    data, box = bytearray(mp4), struct.pack(">I4s4IiIiI", 40, b"clap", *values)
+    parents = [data.find(kind) - 4 for kind in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"avc1")]
+    end = parents[-1] + int(struct.unpack_from(">I", data, parents[-1])[0])
+    assert data.find(b"mdat") < parents[0], "no place of pictures moves"
+    for at in parents:
+        struct.pack_into(">I", data, at, struct.unpack_from(">I", data, at)[0] + len(box))
+    data[end:end] = box
+    return bytes(data)
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+@pytest.mark.parametrize("name", ["a.mov", "a.mp4", "a.mkv"])
+def test_a_clean_aperture_is_what_is_shown(tmp_path: Path, name: str, turns: int) -> None:
+    """40 x 30 pixels of 64 x 48, two right of the middle and three above it; FFmpeg's own words: "14/10/6/12"."""
+    shown = write(tmp_path / "whole.mov", frames=2)
+    boxed = with_aperture((tmp_path / "whole.mov").read_bytes(), 40, 1, 30, 1, 4, 2, -3, 1)
+    boxed = with_matrix(boxed, 0, 1, -1, 0) if turns else boxed
+    (tmp_path / "boxed.mov").write_bytes(boxed)
+    if name == "a.mkv":
+        _copied(tmp_path / "boxed.mov", tmp_path / name)  # by FFmpeg, which knows PixelCrop
+    else:
+        (tmp_path / name).write_bytes(boxed)
+    source = open_video(tmp_path / name)
+    for expected, picture in zip(shown, source.read(0, 2), strict=True):
+        within = np.rot90(expected[6:36, 14:54], -turns)
+        assert picture.shape == within.shape == (source.height, source.width, 3)
+        assert np.abs(picture.astype(float) - within).mean() < 3
+    whole = source.whole()
+    assert sorted((whole.width, whole.height)) == [48, 64]
+    assert np.abs(next(whole.read(0, 1)).astype(float) - np.rot90(shown[0], -turns)).mean() < 3
+
+
+def _copied(source: Path, copy: Path) -> None:
+    with av.open(str(source)) as read, av.open(str(copy), "w") as written:
+        stream = written.add_stream_from_template(read.streams.video[0])
+        for packet in read.demux(read.streams.video[0]):
+            if packet.dts is not None:
+                packet.stream = stream
+                written.mux(packet)
+
+
+@pytest.mark.parametrize(
+    "aperture",
+    [(0, 1, 0, 1, 0, 1, 0, 1), (40, 0, 30, 1, 0, 1, 0, 1), (80, 1, 60, 1, 0, 1, 0, 1), (40, 1, 30, 1, 99, 1, 0, 1)],
+)
+def test_a_clean_aperture_that_is_none_is_passed_over(tmp_path: Path, aperture: tuple[int, ...]) -> None:
+    """Nothing, a half of nothing, more than there is, and beside the picture."""
+    write(tmp_path / "a.mov", frames=1)
+    (tmp_path / "a.mov").write_bytes(with_aperture((tmp_path / "a.mov").read_bytes(), *aperture))
+    assert (open_video(tmp_path / "a.mov").width, open_video(tmp_path / "a.mov").height) == (64, 48)
+
+
+@pytest.mark.parametrize(("calibrated", "focal"), [((40, 30), 50.0), ((64, 48), 50.0), ((20, 15), 100.0)])
+def test_a_rig_is_calibrated_for_what_is_shown_or_for_the_whole(
+    tmp_path: Path, calibrated: tuple[int, int], focal: float
+) -> None:
+    """A calibration of another size is scaled to what is shown, which is not sure, and said."""
+    write(tmp_path / "whole.mov", frames=1)
+    boxed = with_aperture((tmp_path / "whole.mov").read_bytes(), 40, 1, 30, 1, 0, 1, 0, 1)
+    (tmp_path / "whole.mov").unlink()
+    posed = []
+    for camera in cameras("opencv", ["left", "right"]):
+        lens = replace(camera, width=calibrated[0], height=calibrated[1], fx=50.0, fy=50.0)
+        posed.append((f"{camera.name}.png", lens))
+        (tmp_path / f"{camera.name}.mov").write_bytes(boxed)
+    write_model(tmp_path / "sparse/0", posed)
+    rig = open_rig(tmp_path)
+    size = calibrated if calibrated[0] >= 40 else (40, 30)
+    assert {(camera.width, camera.height, camera.fx) for camera in rig.cameras} == {(*size, focal)}
+    assert [frame.shape for frame in next(read_frames(rig))[1]] == [(size[1], size[0], 3)] * 2
+    assert any("clean aperture" in warning for warning in rig.warnings) == (calibrated == (20, 15))
 
 
 def test_an_angle_between_quarter_turns_is_refused(tmp_path: Path) -> None:

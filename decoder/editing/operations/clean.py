@@ -72,6 +72,8 @@ class Clean(Operation):
         given = {name: getattr(self, name) for name in ("opacity", "size", "isolation", "seen")}
         if any(value is not None and not 0 < value < 1e12 for value in given.values()):
             raise UsageError("clean: give limits above 0")
+        if self.opacity is not None and self.opacity > 1:
+            raise UsageError(f"clean: an opacity is at most 1, not {self.opacity:g}")
         if self.picture is not None and self.picture.suffix.lower() != ".png":
             raise UsageError(f"clean: {self.picture}: the picture is a PNG; name it so")
         header = in_its_world(take.header)

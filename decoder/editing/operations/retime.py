@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from decogs.codec.state import ARRAYS, State
-from decogs.formats.command_line import Parser, number, whole_number
+from decogs.formats.command_line import Parser, frame_rate, number, whole_number
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 
@@ -95,7 +95,7 @@ class Retime(Operation):
             help="let frame N stay for COUNT frames more (repeatable)",
         )
         parser.add_argument("--reverse", action="store_true", help="backwards")
-        parser.add_argument("--fps", type=number, metavar="F", help="frames per second")
+        parser.add_argument("--fps", type=frame_rate, metavar="F", help="frames per second")
 
     @classmethod
     def of_options(cls, options: argparse.Namespace) -> Retime:

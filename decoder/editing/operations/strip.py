@@ -18,7 +18,8 @@ _ONLY_CAMERA = "view"
 
 @dataclass(frozen=True)
 class Strip(Operation):
-    """Leaves out ``parts``: "provenance" is the encoder's settings, the source and the writer; the licence stays.
+    """Leaves out ``parts``: "provenance" is the encoder's settings, the source, the writer and what tracks of sound are
+    called, which is their files' names; the licence stays.
 
     "rig" is all cameras but the one to begin with, since a stream has at least one; that is called "view". "sound" is
     all tracks.
@@ -26,7 +27,7 @@ class Strip(Operation):
 
     parts: tuple[str, ...]
     name = "strip"
-    summary = "leave out provenance (settings, source, writer), the rig's cameras, or sound"
+    summary = "leave out provenance (settings, source, writer, names of tracks), the rig's cameras, or sound"
 
     def edit(self, take: Take, open_other: Opener) -> Take:
         """The same frames, less told of them. Raises UsageError for an unknown part."""
@@ -34,7 +35,8 @@ class Strip(Operation):
             if part not in PARTS:
                 raise UsageError(f"strip: there is no {part!r} to strip; choose from {', '.join(PARTS)}")
         if "provenance" in self.parts:
-            take = replace(take, header=replace(take.header, settings={}, source_text="", writer=""))
+            sound = tuple(replace(track, title="") for track in take.header.sound)
+            take = replace(take, header=replace(take.header, settings={}, source_text="", writer="", sound=sound))
         if "rig" in self.parts:
             take = _with_one_camera(take)
         if "sound" in self.parts:

@@ -8,12 +8,14 @@ if TYPE_CHECKING:
     from .choice import MatteChoice as MatteChoice
     from .mattes import Cut as Cut
     from .mattes import Mattes as Mattes
+    from .mattes import files_of_mattes as files_of_mattes
     from .mattes import open_mattes as open_mattes
 
 _HOMES = {
     "MatteChoice": "choice",
     "Cut": "mattes",
     "Mattes": "mattes",
+    "files_of_mattes": "mattes",
     "open_mattes": "mattes",
 }
 __all__ = list(_HOMES)

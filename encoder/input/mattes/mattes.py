@@ -12,8 +12,8 @@ from decogs.formats.colour import linear_from_srgb, srgb_from_linear
 from decogs.formats.errors import RigError
 from decogs.formats.mattes import alpha_of, matte_place, matte_rig, own_alpha_rig, pictures_per_camera
 from decogs.formats.pictures import Picture, read_picture
-from decogs.formats.rigs import Rig, read_frames
-from decogs.formats.rigs.sources import PictureSource
+from decogs.formats.rigs import OnLost, Rig, read_frames
+from decogs.formats.rigs.sources import files_of_source, list_folder, refuse_unknown_kinds
 from decogs.formats.splats import FloatArray
 
 from ..filling import push_pull
@@ -67,13 +67,15 @@ class Mattes:
             return f"the matte of camera {name}, frame {frame}"
         return matte_place(self.rig, name, frame)
 
-    def given(self, names: Collection[str], start: int, stop: int) -> Iterator[Mapping[str, FloatArray]]:
-        """The mattes (H, W) that files have, by camera, of each frame."""
+    def given(
+        self, names: Collection[str], start: int, stop: int, on_lost: OnLost | None = None
+    ) -> Iterator[Mapping[str, FloatArray]]:
+        """The mattes (H, W) that files have, by camera, of each frame; ``on_lost`` as of `read_frames`."""
         if self.rig is None:
             yield from ({} for _ in range(start, stop))
             return
         having = [camera.name for camera in self.rig.cameras if camera.name in names]
-        for _, mattes in read_frames(self.rig, start, stop, names=having):
+        for _, mattes in read_frames(self.rig, start, stop, names=having, on_lost=on_lost):
             yield {name: alpha_of(matte) for name, matte in zip(having, mattes, strict=True)}
 
     def told(self, name: str, given: FloatArray | None) -> Iterator[Picture]:
@@ -127,7 +129,7 @@ def open_mattes(choice: MatteChoice | None, rig: Rig, frames: range, held_out: C
     if choice.masks is not None:
         given = matte_rig(Path(choice.masks), rig, names, frames)
     elif choice.own_masks and choice.key is None and not plates:
-        given = own_alpha_rig(rig, names, frames.start)
+        given = own_alpha_rig(rig, names, frames)
         is_own = given is not None
     key = None if choice.key is None else key_axis(choice.key)
     pictures = {name: _at_size(rig, name, file) for name, file in plates.items()}
@@ -135,9 +137,14 @@ def open_mattes(choice: MatteChoice | None, rig: Rig, frames: range, held_out: C
     return mattes if mattes.cuts or kept else None
 
 
+def files_of_mattes(mattes: Mattes | None) -> list[tuple[Path, str]]:
+    """Every file that is read for them, and what it is called."""
+    return [] if mattes is None else [(file, "is a matte or a plate of the rig") for file in mattes.files]
+
+
 def _files(given: Rig | None, *by_camera: Mapping[str, Path]) -> Iterator[Path]:
     for source in () if given is None else given.sources:
-        yield from source.files if isinstance(source, PictureSource) else (source.path,)
+        yield from files_of_source(source)
     for files in by_camera:
         yield from files.values()
 
@@ -155,6 +162,7 @@ def _ignore_masks(choice: MatteChoice, rig: Rig) -> dict[str, Path]:
     if choice.ignore is not None:
         given = pictures_per_camera(Path(choice.ignore), [camera.name for camera in rig.cameras])
         if not given:
+            refuse_unknown_kinds(list_folder(Path(choice.ignore)))
             raise RigError(f"{choice.ignore}: no mask of any camera; name them after the cameras, like cam00.png")
         found |= given
     return found
@@ -179,7 +187,7 @@ def _content(file: Path) -> bytes:
 def _plates(choice: MatteChoice, rig: Rig, names: list[str]) -> dict[str, Path]:
     if choice.background_plate is None:
         return {}
-    plates = pictures_per_camera(Path(choice.background_plate), [camera.name for camera in rig.cameras])
+    plates = pictures_per_camera(Path(choice.background_plate), [camera.name for camera in rig.cameras], names)
     for name in names:
         if name not in plates:
             raise RigError(f"{choice.background_plate}: no clean picture of camera {name}; add {name}.png")

@@ -22,6 +22,7 @@ from dataclasses import replace
 from ...training.frame_training import LossOfView, frame_training
 from ...training.losses import focus_loss
 from ...training.method import FrameInput, TrainedFrame, TrainingContext
+from ...training.relighting import relight
 from ...training.schedule import StepSchedule, seconds_at_least
 from ...training.selective_densification import densify
 from ...training.working_set import WorkingSet
@@ -45,7 +46,9 @@ class PaperTrainer:
         self.min_seconds = 0.0
         # Of frames that light alone changes: a cache would move what stands.
         self._still = DecogsTrainer(context, loss=loss)
-        self._cache = TransformationCache(*context.box, cache, context.seed, threads=context.threads)
+        self._cache = TransformationCache(
+            *context.box, cache, context.seed, extent=context.extent, threads=context.threads
+        )
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains S_t; diverged training changes nothing. A deadline ends either stage early, a target stage 2."""
@@ -59,6 +62,8 @@ class PaperTrainer:
         training = frame_training(self.context, frame, self._loss)
         sample = training.used[::3]
         before = training.squared_error(sample)
+        if frame.relit:
+            relight(training, work)
         cache.restart()
         cache.place(work.values.means, work.values.quaternions)
         gathered = train_cache(training, work, cache, self.cache_iterations)

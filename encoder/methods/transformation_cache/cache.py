@@ -27,12 +27,20 @@ _LANES = 16
 class TransformationCache:
     """The transformation cache of one stream; see the package for what it computes.
 
-    ``box_low``, ``box_high`` (3,) bound the part of the scene that may move, in world units; ``seed`` draws the
-    starting weights; ``threads`` only changes the speed, never the result. Raises UsageError for an empty box.
+    ``box_low``, ``box_high`` (3,) bound the part of the scene that may move, ``extent`` is the size of the rig,
+    both in world units; ``seed`` draws the starting weights; ``threads`` only changes the speed, never the result.
+    Raises UsageError for an empty box.
     """
 
     def __init__(
-        self, box_low: ArrayLike, box_high: ArrayLike, config: CacheConfig, seed: int, *, threads: int = 1
+        self,
+        box_low: ArrayLike,
+        box_high: ArrayLike,
+        config: CacheConfig,
+        seed: int,
+        *,
+        extent: float = 1.0,
+        threads: int = 1,
     ) -> None:
         low, high = (np.asarray(b, np.float64).reshape(3) for b in (box_low, box_high))
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
@@ -45,7 +53,7 @@ class TransformationCache:
         self._has_read = self._has_moved = self._has_gradients = False
         sizes = [config.levels * config.features, *[config.hidden_width] * config.hidden_layers, _OUTPUTS]
         self._shapes = [(out, given) for given, out in pairwise(sizes)]
-        self._kernel = CacheKernel(config, low, high, threads)
+        self._kernel = CacheKernel(config, low, high, extent, threads)
         self._store(_first_weights(config, self._shapes, seed))
         self._place(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32))
 

@@ -74,7 +74,9 @@ class CacheKernel:
     the grid again, so that ``move`` may follow it at once.
     """
 
-    def __init__(self, config: CacheConfig, low: NDArray[np.float64], high: NDArray[np.float64], threads: int) -> None:
+    def __init__(
+        self, config: CacheConfig, low: NDArray[np.float64], high: NDArray[np.float64], extent: float, threads: int
+    ) -> None:
         self._library = _library()
         resolutions = np.array(config.resolutions(), np.int32)
         shape = _Shape(
@@ -86,7 +88,7 @@ class CacheKernel:
             resolutions.ctypes.data,
             (ctypes.c_double * 3)(*low),
             (ctypes.c_double * 3)(*high),
-            config.translation_scale,
+            config.translation_scale * extent,
             GRADIENT_LIMIT,
         )
         self._handle = checked_handle(self._library.decogs_cache_create(ctypes.byref(shape), threads))

@@ -9,7 +9,7 @@ from decogs.formats.splats import FloatArray
 
 @dataclass(frozen=True)
 class CacheConfig:
-    """All numbers of the cache; the defaults are 3DGStream's released configuration.
+    """All numbers of the cache; the defaults are 3DGStream's released configuration, but for the unit of length.
 
     Level k has round(base_resolution * level_scale**k) vertices along each side of the box, stored densely where they
     fit into the table, hashed where not.
@@ -24,7 +24,7 @@ class CacheConfig:
     hidden_width: int = 64  # units of a layer
     learning_rate: float = 2e-3  # Adam's
     epsilon: float = 1e-8  # Adam's
-    translation_scale: float = 1.0  # world units that an output of 1 stands for
+    translation_scale: float = 0.5  # extents of the rig that an output of 1 stands for: a metre in usual rigs
     grid_spread: float = 1e-4  # entries start uniform in +- that (Instant-NGP)
     identity_start: bool = True  # the last layer starts at zero; else at random
 

@@ -8,10 +8,12 @@ import type { DrawTimes, Renderer } from "./renderer";
 
 export class ExactCanvas implements Renderer {
   readonly times: DrawTimes = { uploadMs: 0, drawMs: 0 };
+  /** Whether nothing of the stream has been shown yet. */
+  empty = true;
   private readonly context: CanvasRenderingContext2D;
   private drawing = false;
   private waiting: PinholeCamera | null = null;
-  private done: (() => void)[] = [];
+  private done: ((problem: string | null) => void)[] = [];
 
   /** `ask`: has the worker draw; `show` or `failed` is its answer. */
   constructor(
@@ -28,6 +30,7 @@ export class ExactCanvas implements Renderer {
   }
 
   begin(): void {
+    this.empty = true;
     this.answered();
   }
 
@@ -52,17 +55,24 @@ export class ExactCanvas implements Renderer {
     Object.assign(this.canvas, { width, height });
     this.context.putImageData(new ImageData(pixels, width, height), 0, 0);
     this.times.drawMs = drawMs;
+    this.empty = false;
     this.answered();
   }
 
   /** No picture came; the one before stays. */
-  failed(): void {
-    this.answered();
+  failed(problem: string | null): void {
+    this.answered(problem);
   }
 
-  /** Resolves when the picture asked for last is there. */
+  /** Resolves when the picture asked for last is there, rejects where none came. */
   settled(): Promise<void> {
-    return this.drawing ? new Promise((done) => this.done.push(done)) : Promise.resolve();
+    if (!this.drawing) return Promise.resolve();
+    return new Promise((done, refused) => {
+      this.done.push((problem) => {
+        if (problem === null) done();
+        else refused(new Error(problem));
+      });
+    });
   }
 
   dispose(): void {
@@ -70,7 +80,7 @@ export class ExactCanvas implements Renderer {
     this.answered();
   }
 
-  private answered(): void {
+  private answered(problem: string | null = null): void {
     this.drawing = false;
     const next = this.waiting;
     this.waiting = null;
@@ -78,6 +88,6 @@ export class ExactCanvas implements Renderer {
       this.draw(next);
       return;
     }
-    for (const done of this.done.splice(0)) done();
+    for (const done of this.done.splice(0)) done(problem);
   }
 }

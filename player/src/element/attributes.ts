@@ -4,7 +4,10 @@ import type { PlayerApi, Span } from "../player_api";
 
 const PRELOADS = ["none", "metadata", "auto"] as const;
 
-export abstract class AttributeElement extends HTMLElement {
+/** A server evaluates the module, too, and has no elements. */
+const Base = "HTMLElement" in globalThis ? HTMLElement : (Object as unknown as typeof HTMLElement);
+
+export abstract class AttributeElement extends Base {
   get src(): string {
     return this.getAttribute("src") ?? "";
   }

@@ -1,7 +1,9 @@
 /** The page's end of the worker: messages out, messages in, and tables of frames that grow. */
+import { kernelBytes } from "../exact/bytes";
 import { FRAME_KINDS, type FrameTable, type FromWorker, type Opening, type ToWorker } from "../messages";
 import type { FrameKind } from "../scene";
 import { ownScript } from "../trusted";
+import { address, text } from "./worker_script";
 
 /** Columns of what is known of every frame. */
 export class FrameColumns {
@@ -50,16 +52,14 @@ declare global {
 }
 
 /** A worker takes longer to start than a header to come: one waits for the first stream from the time the script runs. */
-let spare: Worker | null = globalThis.decogsEarly === undefined ? startedWorker() : null;
-// Nobody hears why yet: whoever opens the stream tries again, and does.
-if (spare !== null) spare.onerror = () => (spare = null);
+let spare: Worker | null = globalThis.decogsEarly === undefined ? spareWorker() : null;
 
 export class Connection {
   private readonly worker: Worker;
   /** What an early worker said before this heard it. */
   private readonly said: FromWorker[];
 
-  /** Opens a stream. */
+  /** Opens a stream. Throws where no worker can be started. */
   constructor(opening: Opening, receive: (message: FromWorker) => void, failed: (message: string) => void) {
     const early = earlyFor(opening);
     this.worker = early?.worker ?? spare ?? startedWorker();
@@ -70,10 +70,11 @@ export class Connection {
     };
     this.worker.onmessage = (event: MessageEvent<FromWorker>) => {
       hearEarlier();
-      receive(event.data);
+      if (event.data.type === "kernel") void this.giveKernel();
+      else receive(event.data);
     };
     this.worker.onerror = (event) => {
-      failed(event.message || "the player's worker (decogs-worker.js) cannot be loaded");
+      failed(event.message || notStarted(`${address === null ? "" : `${address} is missing, or `}the page's Content-Security-Policy forbids it (worker-src)`));
     };
     if (early === null) this.send({ type: "open", ...opening });
     else setTimeout(hearEarlier); // as messages come: not before whoever opens the stream is done
@@ -81,6 +82,15 @@ export class Connection {
 
   send(message: ToWorker, transfer: Transferable[] = []): void {
     this.worker.postMessage(message, transfer);
+  }
+
+  private async giveKernel(): Promise<void> {
+    try {
+      const bytes = await kernelBytes();
+      this.send({ type: "kernel", bytes, problem: "" }, [bytes]);
+    } catch (error) {
+      this.send({ type: "kernel", bytes: null, problem: error instanceof Error ? error.message : String(error) });
+    }
   }
 
   close(): void {
@@ -101,16 +111,33 @@ function earlyFor({ source, follow, first, credentials }: Opening): Early | null
   return null;
 }
 
-/** The worker's script lies beside this one. One of another origin is reached through a small one of the page's own. */
+/** null on a server, which has no page, and where none can be started: whoever opens the stream tries again, and hears why. */
+function spareWorker(): Worker | null {
+  if (typeof document === "undefined") return null;
+  try {
+    const worker = startedWorker();
+    worker.onerror = () => (spare = null);
+    return worker;
+  } catch {
+    return null;
+  }
+}
+
+/** A worker of the script's address, or, where the page may start none from there, of its text. */
 function startedWorker(): Worker {
-  // In this very form, which bundlers know.
-  const { href, origin } = new URL("./decogs-worker.js", import.meta.url);
-  if (origin === location.origin) return new Worker(ownScript(href), { type: "module" });
-  const script = new Blob([`import ${JSON.stringify(href)};`], { type: "text/javascript" });
-  const own = URL.createObjectURL(script);
-  const worker = new Worker(ownScript(own), { type: "module" });
-  setTimeout(() => {
-    URL.revokeObjectURL(own);
-  }, 60_000);
-  return worker;
+  try {
+    if (address !== null) return new Worker(ownScript(address), { type: "module" });
+    const own = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
+    setTimeout(() => {
+      URL.revokeObjectURL(own);
+    }, 60_000);
+    return new Worker(ownScript(own));
+  } catch (error) {
+    throw new Error(notStarted(error instanceof Error ? error.message : String(error)));
+  }
+}
+
+function notStarted(why: string): string {
+  const frame = globalThis.origin === "null" ? "; the page is in a frame whose sandbox leaves it no origin of its own (allow-same-origin)" : "";
+  return `the player's worker cannot be started: ${why}${frame}`;
 }

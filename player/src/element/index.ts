@@ -1,7 +1,7 @@
-/** Makes `<decogs-player>` known to the page. */
+/** Makes `<decogs-player>` known to the page, where there is one: servers evaluate the modules of a page, too. */
 import { DecogsPlayer } from "./player";
 
-if (customElements.get("decogs-player") === undefined) customElements.define("decogs-player", DecogsPlayer);
+if ("customElements" in globalThis && customElements.get("decogs-player") === undefined) customElements.define("decogs-player", DecogsPlayer);
 
 export { DecogsPlayer };
 export type { PlayerEvent } from "./events";

@@ -6,7 +6,7 @@ import type { Renderer } from "../draw/renderer";
 import type { WebGlRenderer } from "../draw/webgl_renderer";
 import type { PinholeCamera } from "../geometry/camera";
 import type { Overlay } from "../player_api";
-import type { DepthRow, ExactPicture, TextureLayout } from "../messages";
+import type { DepthRow, ExactAnswer, TextureLayout } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Stage, type LookedThrough } from "./stage";
 
@@ -51,6 +51,8 @@ export class Pictures {
   #slower = 0;
   #fastMs = 0;
   #judgedMs = 0;
+  /** Whether the kernel has failed since somebody chose last. */
+  #kernelFailed = false;
   #overlay: Overlay = "none";
   readonly #detachPointer: () => void;
   #exactly: ExactCanvas | null = null;
@@ -94,6 +96,7 @@ export class Pictures {
   /** What draws from now on begins with the whole frame. Whether another one does. */
   chooseExact(choice: ExactChoice): boolean {
     this.#choice = choice;
+    this.#kernelFailed = false;
     return this.#change();
   }
 
@@ -149,9 +152,20 @@ export class Pictures {
     }
   }
 
-  exactlyDrawn(picture: ExactPicture | null): void {
-    if (picture === null) this.#exactly?.failed();
-    else this.#exactly?.show(picture);
+  /** Whether the first picture is still to come from the kernel. */
+  get awaitsKernel(): boolean {
+    return this.exact && this.#exactly!.empty;
+  }
+
+  /** One picture that is too large leaves a kernel that somebody chose, and that has drawn. */
+  exactlyDrawn({ picture, problem, kernel }: ExactAnswer): void {
+    if (picture !== null) {
+      this.#exactly?.show(picture);
+      return;
+    }
+    if (problem !== null && (!kernel || this.awaitsKernel || this.#choice === null)) this.#kernelFailed = true;
+    if (this.#change()) this.host.changed();
+    this.#exactly?.failed(problem);
   }
 
   dispose(): void {
@@ -170,7 +184,7 @@ export class Pictures {
   }
 
   #rightRenderer(): Renderer {
-    const fast = (this.#choice ?? this.#automatic) ? null : this.#fast;
+    const fast = !this.#kernelFailed && (this.#choice ?? this.#automatic) ? null : this.#fast;
     this.#exactCanvas.hidden = fast !== null;
     this.#canvas.style.opacity = fast === null ? "0" : ""; // the other one may be transparent
     if (fast !== null) return fast;

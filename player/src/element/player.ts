@@ -13,7 +13,7 @@ import type { Lens, PinholeCamera } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
 import { intoScene } from "../geometry/similarity";
 import type { Vector } from "../geometry/vectors";
-import type { FrameInfo } from "../messages";
+import { NO_ANSWER, type FrameInfo } from "../messages";
 import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type PlayerApi, type Span, type View } from "../player_api";
 import type { StreamHeader } from "../scene";
 import type { PlayerEvent } from "./events";
@@ -548,7 +548,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
         this.#session.send({ type: "resend" });
       },
       drawExactly: (camera) => {
-        if (this.#session.lost.aborted) this.#pictures?.exactlyDrawn(null);
+        if (this.#session.lost.aborted) this.#pictures?.exactlyDrawn(NO_ANSWER);
         else this.#session.send({ type: "exact", camera });
       },
       lookedThrough: () => {

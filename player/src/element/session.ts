@@ -1,7 +1,7 @@
 /** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
 import type { PinholeCamera } from "../geometry/camera";
 import { inItsWorld } from "../geometry/similarity";
-import type { DrawOrder, ExactPicture, FrameInfo, FromWorker, Opening, SceneUpdate, TextureLayout, ToWorker } from "../messages";
+import { NO_ANSWER, type DrawOrder, type ExactAnswer, type ExactPicture, type FrameInfo, type FromWorker, type Opening, type SceneUpdate, type TextureLayout, type ToWorker } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Answers } from "./answers";
 import { Connection, FrameColumns } from "./connection";
@@ -22,7 +22,11 @@ export type Start = { readonly seconds: number } | { readonly frame: number };
 /** What draws a stream: the element's pictures, or a scene of somebody else's. */
 export interface Drawing {
   begin(layout: TextureLayout, header: StreamHeader): void;
-  exactlyDrawn(picture: ExactPicture | null): void;
+  exactlyDrawn(answer: ExactAnswer): void;
+  /** Whether the kernel draws, and has not drawn anything yet. */
+  readonly awaitsKernel: boolean;
+  /** Whether the kernel is the one that draws. */
+  readonly exact: boolean;
   readonly stage: {
     begin(): void;
     load(update: SceneUpdate | null, draw: DrawOrder): void;
@@ -87,6 +91,8 @@ export class Session {
   /** Whether time runs: false while a picture, or one that was sought, is still to come. */
   #running = false;
   #notice: string | null = null;
+  /** Why WebGL2 draws where the kernel was to; null where nothing is amiss. */
+  #instead: string | null = null;
   /** Until playing has begun. */
   readonly #beginnings = new Answers<undefined>();
   /** Pictures of keyframes. */
@@ -111,19 +117,20 @@ export class Session {
     this.#lost = controller.signal;
     this.#lose = (reason) => {
       controller.abort(reason);
-      pictures.exactlyDrawn(null);
+      pictures.exactlyDrawn(NO_ANSWER);
       this.#stills.refuseAll(reason);
       this.#plys.refuseAll(reason);
     };
-    this.#connection = new Connection(
-      { ...opening, first },
-      (message) => {
+    const died = (message: string): void => {
+      this.#die(message);
+    };
+    try {
+      this.#connection = new Connection({ ...opening, first }, (message) => {
         this.#receive(message);
-      },
-      (message) => {
-        this.#die(message);
-      },
-    );
+      }, died);
+    } catch (error) {
+      died(error instanceof Error ? error.message : String(error));
+    }
   }
 
   close(): void {
@@ -138,7 +145,7 @@ export class Session {
     this.#lose(gone);
     if (!playing) this.#beginnings.refuseAll(gone);
     const emptied = this.header !== null;
-    this.header = this.info = this.error = this.#notice = this.#trouble = null;
+    this.header = this.info = this.error = this.#notice = this.#trouble = this.#instead = null;
     this.waiting = false;
     this.buffered = [];
     this.#setBusy(false);
@@ -193,6 +200,7 @@ export class Session {
   play(): Promise<void> {
     const { playback } = this;
     if (this.error !== null) this.#again();
+    if (this.error !== null) return Promise.reject(new DOMException(this.error, "NotSupportedError"));
     if (!playback.playing) {
       if (this.#standIn >= 0 || playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
       playback.playing = true;
@@ -256,7 +264,7 @@ export class Session {
   }
 
   warn(): void {
-    this.host.warn(this.error ?? this.#trouble ?? this.info?.damage ?? this.#notice);
+    this.host.warn(this.error ?? this.#trouble ?? this.info?.damage ?? this.#notice ?? this.#instead);
   }
 
   #receive(message: FromWorker): void {
@@ -276,8 +284,7 @@ export class Session {
         this.#recycle(message.draw.order);
         break;
       case "exact":
-        this.#pictures!.exactlyDrawn(message.picture);
-        if (message.problem !== null) this.notice(message.problem);
+        this.#exactlyDrawn(message);
         break;
       case "still":
         this.#stills.answer(message.picture);
@@ -365,15 +372,36 @@ export class Session {
       this.host.tell("loadeddata");
       this.host.tell("canplay");
     }
-    if (this.#beginnings.awaited) {
-      this.#beginnings.answerAll(undefined);
-      this.host.tell("playing");
-    }
+    if (this.#beginnings.awaited) this.#begin();
+    else if (first && this.playback.playing) this.host.tell("playing");
     this.host.tell("timeupdate");
     if (this.#seekLater < 0 && this.#seekRequest >= 0 && message.request >= this.#seekRequest) {
       this.#seekRequest = -1;
       this.host.tell("seeked");
     }
+  }
+
+  /** Where the kernel gives no picture, WebGL2 draws instead, which is said; without WebGL2, nothing does. */
+  #exactlyDrawn(answer: ExactAnswer): void {
+    const { picture, problem, kernel } = answer;
+    const pictures = this.#pictures!;
+    const { exact: wanted } = pictures; // or WebGL2 was chosen meanwhile
+    pictures.exactlyDrawn(answer);
+    if (picture !== null) this.#instead = null;
+    if (problem !== null && wanted) {
+      if (!pictures.exact) this.#instead = `WebGL2 draws: ${problem}`;
+      else if (kernel && !pictures.awaitsKernel) this.#notice = problem;
+      else if (this.error === null) this.fail(problem);
+    }
+    this.warn();
+    this.#begin();
+  }
+
+  /** Playing has begun for those who wait for it, once there is something to be seen. */
+  #begin(): void {
+    if (!this.#begun || !this.#beginnings.awaited) return;
+    this.#beginnings.answerAll(undefined);
+    this.host.tell("playing");
   }
 
   #sorted({ count, sortMs }: { readonly count: number; readonly sortMs: number }): void {
@@ -393,7 +421,7 @@ export class Session {
   }
 
   get #begun(): boolean {
-    return this.info !== null && this.error === null;
+    return this.info !== null && this.error === null && this.#pictures?.awaitsKernel !== true;
   }
 
   /** What failed is asked for once more. */

@@ -162,7 +162,12 @@ export class Stage {
     }
     const { renderer } = this;
     this.drawSized(width, height, false);
-    await renderer.settled?.();
+    try {
+      await renderer.settled?.();
+    } catch (error) {
+      if (this.renderer === renderer) throw error;
+      return this.capture(width, height, lost); // another one draws instead
+    }
     lost.throwIfAborted();
     const blob = new Promise<Blob | null>((done) => {
       renderer.canvas.toBlob(done, "image/png");

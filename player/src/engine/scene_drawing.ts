@@ -65,6 +65,8 @@ export class SceneDrawing implements Drawing {
     this.#release();
   }
 
+  readonly exact = false;
+  readonly awaitsKernel = false;
   exactlyDrawn(): void {
     // The kernel is never asked.
   }

@@ -1,11 +1,12 @@
 /**
- * zstddec with its WebAssembly in a file of its own, which the page's build puts in place of the package: beside the
- * script it is compiled while it comes, and needs neither base64 nor a script that is twice as long.
+ * zstddec with its WebAssembly apart, which the builds put in place of that package (build.mjs): it would fetch its own from a
+ * `data:` address, which a page's Content-Security-Policy may forbid.
  */
 
-import { compiledFrom, fetched } from "../kernel/fetched";
+import { compiler } from "../kernel/fetched";
+import source from "./zstd.wasm";
 
-const coming = fetched("./decogs-zstd.wasm");
+const compile = compiler(source);
 
 interface Library {
   readonly memory: WebAssembly.Memory;
@@ -19,7 +20,7 @@ export class ZSTDDecoder {
 
   async init(): Promise<void> {
     const imports = { env: { emscripten_notify_memory_growth: () => undefined } };
-    const { exports } = await WebAssembly.instantiate(await compiledFrom(coming), imports);
+    const { exports } = await WebAssembly.instantiate(await compile(), imports);
     this.zstd = exports as unknown as Library;
   }
 

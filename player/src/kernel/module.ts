@@ -1,20 +1,16 @@
-/**
- * The kernel's module, compiled once; whoever needs a memory of its own makes an instance. In the page it lies beside the
- * script and is compiled while it comes; elsewhere the script has its bytes.
- */
+/** The kernel's module, compiled once; whoever needs a memory of its own makes an instance. */
 
+import { compiler } from "./fetched";
 import source from "./kernel.wasm";
-import { compiledFrom, fetched } from "./fetched";
 
-const coming = typeof source === "string" ? fetched(source) : null;
+const compile = compiler(source);
+let compiling: Promise<WebAssembly.Module> | null = null;
 let module: WebAssembly.Module | null = null;
 
 /** Before this has resolved nothing can be read. */
 export async function startKernel(): Promise<void> {
-  if (coming !== null) module ??= await (compiling ??= compiledFrom(coming));
+  module ??= await (compiling ??= compile());
 }
-
-let compiling: Promise<WebAssembly.Module> | null = null;
 
 export function kernelInstance(): WebAssembly.Exports {
   if (module === null) {

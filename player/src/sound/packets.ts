@@ -8,13 +8,16 @@ export const RATE = 48_000;
 /** Samples of a block. */
 export const BLOCK = 960;
 /** Samples before a place from which a decoder is to be run to be right there. */
-const PRE_ROLL = 10 * BLOCK;
+export const PRE_ROLL = 10 * BLOCK;
 /** Samples by which a packet may miss the end of the one before and still go on with it. */
 export const CONTINUES = 48;
 const MAX_TRACKS = 16;
 const MAX_TITLE = 65_536;
 const MAX_COORDINATE = 1e12;
 const MAX_BLOCK_BYTES = 1276;
+const MAX_BLOCKS = 1024;
+/** Packets of a frame that are looked at. */
+export const MAX_PACKETS = 64;
 const SLOWEST = 1;
 
 /** The list in the header; empty where it, or any entry, is out of bounds. */
@@ -44,7 +47,7 @@ export function readSoundPacket(payload: Uint8Array, tracks: number): SoundPacke
   for (let at = 5; at < payload.length; ) {
     if (at + 2 > payload.length) return null;
     const length = view.getUint16(at, true);
-    if (length < 1 || length > MAX_BLOCK_BYTES || at + 2 + length > payload.length) return null;
+    if (blocks.length === MAX_BLOCKS || length < 1 || length > MAX_BLOCK_BYTES || at + 2 + length > payload.length) return null;
     blocks.push(payload.slice(at + 2, at + 2 + length));
     at += 2 + length;
   }

@@ -1,10 +1,10 @@
 /** Which blocks one decoder runs through, and where they are heard. */
 import type { SoundFrame } from "../scene";
-import { BLOCK, CONTINUES, frameStart } from "./packets";
+import { BLOCK, CONTINUES, frameStart, PRE_ROLL } from "./packets";
 
 /** Blocks without a gap, from the sample `first` on, that are heard from one sample up to, not including, another. */
 export interface Run {
-  readonly first: number;
+  first: number;
   readonly from: number;
   to: number;
   readonly blocks: Uint8Array<ArrayBuffer>[];
@@ -21,16 +21,18 @@ export function runsOf(frames: readonly SoundFrame[], track: number, fps: number
       let run = runs.at(-1);
       if (run === undefined || Math.abs(run.to - at) > CONTINUES) {
         if (run !== undefined) run.to = Math.min(run.to, begin);
+        if (run?.from === begin) runs.pop(); // of several that begin in a frame the last alone is heard
         runs.push((run = { first: at, from: begin, to: at, blocks: [] }));
       }
       for (const block of packet.blocks) {
         if (run.to >= end) break;
-        run.blocks.push(block);
         run.to += BLOCK;
+        if (run.to <= begin - PRE_ROLL && run.blocks.length === 0) run.first = run.to;
+        else run.blocks.push(block);
       }
     }
   }
-  return runs;
+  return runs.filter(({ blocks }) => blocks.length > 0);
 }
 
 /** Adds a run's samples to those of a piece that begins with sample `start`, where the run is heard. */

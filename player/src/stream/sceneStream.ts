@@ -4,7 +4,7 @@ import { StreamError, isDamage, type Reason } from "../container/errors";
 import { DEFAULT_LIMITS, type Limits } from "../container/limits";
 import { startZstd } from "../entropy/zstd";
 import { KIND, type PacketHeader } from "../container/packets";
-import { readSoundPacket } from "../sound/packets";
+import { MAX_PACKETS, readSoundPacket } from "../sound/packets";
 import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, SoundPacket, Still, StreamHeader } from "../scene";
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
 import { BlobFeed } from "./blob";
@@ -252,8 +252,10 @@ class OpenStream implements SceneStream {
     for (let frame = from; frame < Math.min(to, table.length) && !this.closed; frame++) {
       if (table.offset(frame) < 0) continue; // lost
       const packets: SoundPacket[] = [];
+      let count = 0;
       await findBeside(this.source, table, frame, this.limits, ({ kind, frame: of }, payload) => {
-        const packet = kind === KIND.SOUND && of === frame ? readSoundPacket(payload, this.header.sound.length) : null;
+        if (kind !== KIND.SOUND || of !== frame || ++count > MAX_PACKETS) return;
+        const packet = readSoundPacket(payload, this.header.sound.length);
         if (packet !== null) packets.push(packet);
       });
       found.push({ frame, packets });

@@ -8,13 +8,18 @@ const scope = self as unknown as {
   onmessage: ((event: MessageEvent<ToWorker>) => void) | null;
 };
 
-/** It lies beside this script. */
-const loadKernel = async (): Promise<ArrayBuffer> => {
-  const { href } = new URL("./decogs-exact.wasm", import.meta.url);
-  const answer = await fetch(href);
-  if (!answer.ok) throw new Error(`${href}: HTTP ${answer.status}`);
-  return answer.arrayBuffer();
-};
+let kernelCame: ((message: Extract<ToWorker, { type: "kernel" }>) => void) | null = null;
+
+/** The page has it come: bundlers that take the page's script apart know nothing of what a worker needs. */
+function loadKernel(): Promise<ArrayBuffer> {
+  return new Promise((given, refused) => {
+    kernelCame = ({ bytes, problem }) => {
+      if (bytes === null) refused(new Error(problem));
+      else given(bytes);
+    };
+    scope.postMessage({ type: "kernel" }, []);
+  });
+}
 
 const worker = new StreamWorker(
   createStream,
@@ -23,6 +28,7 @@ const worker = new StreamWorker(
   },
   loadKernel,
 );
-scope.onmessage = (event) => {
-  worker.receive(event.data);
+scope.onmessage = ({ data }) => {
+  if (data.type === "kernel") kernelCame?.(data);
+  else worker.receive(data);
 };

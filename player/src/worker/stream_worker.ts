@@ -50,7 +50,7 @@ export class StreamWorker {
     private readonly loadKernel: LoadKernel,
   ) {}
 
-  receive(message: ToWorker): void {
+  receive(message: Exclude<ToWorker, { type: "kernel" }>): void {
     switch (message.type) {
       case "open":
         if (message.first !== null) this.wanted = { frame: message.first, request: 0 };
@@ -196,7 +196,7 @@ export class StreamWorker {
     try {
       await this.startKernel();
     } catch (error) {
-      this.send({ type: "exact", picture: null, problem: sentence(error) });
+      this.send({ type: "exact", picture: null, problem: sentence(error), kernel: false });
       return;
     }
     this.exactCamera = camera;
@@ -251,9 +251,9 @@ export class StreamWorker {
         this.frame === null || header === undefined
           ? null
           : exact.draw(kernel, this.frame.gaussians, header, camera);
-      this.send({ type: "exact", picture, problem: null }, picture === null ? [] : [picture.pixels.buffer]);
+      this.send({ type: "exact", picture, problem: null, kernel: true }, picture === null ? [] : [picture.pixels.buffer]);
     } catch (error) {
-      this.send({ type: "exact", picture: null, problem: sentence(error) });
+      this.send({ type: "exact", picture: null, problem: sentence(error), kernel: true });
     }
   }
 

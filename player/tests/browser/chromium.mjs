@@ -1,4 +1,4 @@
-// Starts the Chromium that is installed, without a window and with WebGL2 in software.
+// Starts the Chromium that is installed, without a window and with WebGL2 in software, or without any.
 import { existsSync } from "node:fs";
 import { chromium } from "playwright-core";
 
@@ -7,14 +7,13 @@ const PLACES = [process.env.DECOGS_CHROMIUM, "/usr/bin/chromium", "/usr/bin/chro
 /** The browser's path; undefined where there is none. */
 export const chromiumPath = PLACES.find((path) => path && existsSync(path));
 
-export function launched() {
+export function launched(webgl = true) {
   return chromium.launch({
     executablePath: chromiumPath,
     args: [
       "--headless",
       "--no-sandbox",
-      "--use-angle=swiftshader",
-      "--enable-unsafe-swiftshader",
+      ...(webgl ? ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"] : ["--disable-gpu", "--disable-software-rasterizer"]),
       "--disable-quic",
       "--no-first-run",
       "--disable-background-networking",

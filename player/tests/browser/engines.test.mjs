@@ -19,7 +19,7 @@ let browser, page;
 before(async () => {
   browser = await started();
   const here = dirname(fileURLToPath(import.meta.url));
-  await build({ entryPoints: [join(here, "engines_page.mjs")], outfile: join(process.env.DECOGS_PAGE, "engines.js"), alias, external: ["node:worker_threads"], bundle: true, format: "esm", logLevel: "error" });
+  await build({ entryPoints: [join(here, "engines_page.mjs")], outfile: join(process.env.DECOGS_PAGE, "engines.js"), alias, loader: { ".wasm": "empty" }, external: ["node:worker_threads"], bundle: true, format: "esm", logLevel: "error" });
   if (ENGINES === undefined) {
     const script = `import { WebGPURenderer } from "three/webgpu"; globalThis.WebGPURenderer = WebGPURenderer;`;
     await build({ stdin: { contents: script, resolveDir: here }, outfile: join(process.env.DECOGS_PAGE, "webgpu.js"), bundle: true, format: "esm", logLevel: "error" });

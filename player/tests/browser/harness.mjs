@@ -30,7 +30,7 @@ export async function started(folders = {}) {
       await page.goto(`${server.address}/page/index.html?src=/${folder}/${stream}.dgs${webgl}${query}`);
       return page;
     },
-    /** A page of one's own at an address of the player's, with headers. */
+    /** A page of one's own at an address of the player's, with headers; scripts, style sheets and stream are the page's. */
     async own(html, { headers = {}, width = 400, height = 300, ...more } = {}) {
       const context = await browser.newContext({ viewport: { width, height }, ...more });
       const page = await context.newPage();

@@ -1,6 +1,6 @@
 // Runs the browser tests: node tests/browser/run.mjs DATA [PART_OF_A_NAME ...], DATA as tests/player/browser_data.py wrote it.
 import { spawnSync } from "node:child_process";
-import { copyFileSync, mkdtempSync, readdirSync, rmSync } from "node:fs";
+import { mkdtempSync, readdirSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
@@ -21,7 +21,6 @@ try {
       env: { ...process.env, DECOGS_PAGE: page, DECOGS_BROWSER_DATA: resolve(data) },
     }).status ?? 1;
   status = run(join(here, "../../build.mjs"), page);
-  copyFileSync(join(here, "../../../decoder/viewing/page/decogs-exact.wasm"), join(page, "decogs-exact.wasm"));
   const tests = readdirSync(here).filter((name) => name.endsWith(".test.mjs"));
   const wanted = tests.filter((name) => parts.length === 0 || parts.some((part) => name.includes(part)));
   if (status === 0) status = run("--experimental-websocket", "--test", "--test-concurrency=1", "--test-timeout=300000", ...wanted.map((name) => join(here, name)));

@@ -4,7 +4,7 @@ import { closeSync, createReadStream, openSync, readFileSync, readSync, statSync
 import { extname, join, normalize } from "node:path";
 import { gzipSync } from "node:zlib";
 
-const TYPES = { ".html": "text/html", ".js": "text/javascript", ".json": "application/json", ".wasm": "application/wasm" };
+const TYPES = { ".css": "text/css", ".html": "text/html", ".js": "text/javascript", ".json": "application/json", ".wasm": "application/wasm" };
 
 const PIECE = 4096;
 
@@ -33,7 +33,7 @@ class Link {
 }
 
 /**
- * Serves folders, by the first part of the path: { "page": "/a", "data": "/b" }. Options may change any time: `ranges`;
+ * Serves folders, by the first part of the path: { "page": "/a", "data": "/b" }. Options may change any time: `ranges`; `headers` of every answer;
  * of `data`: `rate`, bytes a second; `latency`, milliseconds before an answer; `down`, no answer at all; `gzip`, stored compressed, as buckets do.
  */
 export async function served(folders, options = { ranges: true }) {
@@ -72,7 +72,7 @@ export async function served(folders, options = { ranges: true }) {
       } else response.writeHead(200, compressed).end(stored);
       return;
     }
-    const headers = { "content-type": TYPES[extname(path)] ?? "application/octet-stream", "cache-control": "no-store" };
+    const headers = { "content-type": TYPES[extname(path)] ?? "application/octet-stream", "cache-control": name === "data" ? "no-store" : "max-age=60", ...options.headers };
     const range = options.ranges && /^bytes=(\d+)-(\d*)$/.exec(request.headers.range ?? "");
     if (options.ranges) headers["accept-ranges"] = "bytes";
     if (!range) {

@@ -27,7 +27,9 @@ class Opened {
   readonly session: Session;
   private readonly drawing: Drawing = {
     begin: () => this.drawn.push("stream"),
-    exactlyDrawn: (picture) => this.exactlyDrawn.push(picture),
+    exactlyDrawn: ({ picture }) => this.exactlyDrawn.push(picture),
+    awaitsKernel: false,
+    exact: true,
     stage: { begin: () => this.drawn.push("begin"), load: () => this.drawn.push("load"), order: () => this.drawn.push("order") },
   };
 
@@ -427,7 +429,7 @@ test("what is to be drawn reaches the pictures in the order in which it comes, a
   ({ wakes } = of);
   void of.session.play();
   assert.ok(of.wakes > wakes);
-  of.worker.say({ type: "exact", picture: null, problem: "there is no kernel" });
+  of.worker.say({ type: "exact", picture: null, problem: "there is no kernel", kernel: true });
   assert.deepEqual([of.exactlyDrawn, of.warnings.at(-1)], [[null], "there is no kernel"]);
   ({ wakes } = of);
   of.worker.die();

@@ -37,7 +37,7 @@ const camera: PinholeCamera = {
 
 let exact: ExactRenderer;
 before(async () => {
-  exact = await ExactRenderer.load(readFileSync(join(repository, "decoder/viewing/page/decogs-exact.wasm")));
+  exact = await ExactRenderer.load(readFileSync(join(repository, "player/src/exact/exact.wasm")));
 });
 
 /** So many opaque grey Gaussians of this size, 2 before the camera. */
@@ -134,6 +134,6 @@ test("a picture of no or of too many pixels is refused", () => {
 });
 
 test("what the compiled kernel weighs", () => {
-  const bytes = readFileSync(join(repository, "decoder/viewing/page/decogs-exact.wasm"));
+  const bytes = readFileSync(join(repository, "player/src/exact/exact.wasm"));
   assert.ok(bytes.length < 70_000, `${bytes.length} bytes`);
 });

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
 import { test } from "node:test";
 import type { SoundFrame } from "../../src/scene";
-import { BLOCK, frameStart } from "../../src/sound/packets";
+import { BLOCK, frameStart, readSoundPacket } from "../../src/sound/packets";
 import { put, runsOf } from "../../src/sound/runs";
 import { createStream } from "../../src/stream/index";
 import { EXPECTED, GOOD, vector } from "../decoder/vectors";
@@ -61,6 +61,22 @@ test("a run is heard from its frame on, the one before it up to there, and other
   assert.equal(piece[0], 4000);
   assert.equal(piece[1759], 5759);
   assert.equal(piece[1760], 0);
+});
+
+test("a flood of blocks that nobody hears is not decoded: long before, long after, in many packets of one frame", () => {
+  // 25 frames a second: the frame's 1920 samples, and 200 ms before it.
+  const [run, ...none] = runsOf([frame(0, -2_000_000_000, 1000), frame(1, -1000 * BLOCK, 1000)], 0, 25);
+  assert.equal(none.length, 0);
+  assert.deepEqual([run.first, run.to, run.blocks.length], [1920 - 10 * BLOCK, 1920, 10]);
+  const packets = Array.from({ length: 64 }, (_, index) => frame(0, -index * 100, 60).packets[0]);
+  const runs = runsOf([{ frame: 0, packets }, frame(1, 2_000_000_000, 1000)], 0, 25);
+  assert.deepEqual(runs.map(({ blocks }) => blocks.length), [9]);
+});
+
+test("a packet of more than 1024 blocks is damaged", () => {
+  const payload = (count: number): Uint8Array => Uint8Array.from([0, 0, 0, 0, 0, ...Array.from({ length: count }, () => [1, 0, 252]).flat()]);
+  assert.equal(readSoundPacket(payload(1024), 1)?.blocks.length, 1024);
+  assert.equal(readSoundPacket(payload(1025), 1), null);
 });
 
 test("blocks that begin with the next frame or later are left out", () => {

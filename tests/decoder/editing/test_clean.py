@@ -150,7 +150,7 @@ def test_the_command_says_it_in_words(cluttered, tmp_path: Path) -> None:
     [
         (Clean(opacity=0.0), "limits above 0"),
         (Clean(seen=-1), "limits above 0"),
-        (Clean(size=float("nan")), "limits above 0"),
+        (Clean(size=float("nan")), "nan is not possible"),
         (Clean(picture=Path("x.jpg")), "the picture is a PNG"),
         (Clean(picture=Path("{scene}")), "the picture is a PNG"),
     ],

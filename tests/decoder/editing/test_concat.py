@@ -144,6 +144,20 @@ def test_what_does_not_go_together_is_refused(change, message: str, small_stream
     assert not list(tmp_path.glob("joined*"))
 
 
+@pytest.mark.parametrize(("one", "other"), [(29.97, 30000 / 1001), (23.98, 23.976)])
+def test_rates_within_rounding_go_together(one: float, other: float, small_stream, tmp_path: Path) -> None:
+    header = header_of(small_stream.path)
+    scene = dequantise(small_stream.states[0], header.lattice)
+    paths = [
+        write_two_frames(tmp_path / f"{name}.dgs", replace(header, fps=fps), scene)
+        for name, fps in (("one", one), ("other", other))
+    ]
+    assert header_of(joined(*paths)).fps == one
+    apart = write_two_frames(tmp_path / "apart.dgs", replace(header, fps=30.0), scene)
+    with pytest.raises(UsageError, match=r"one has 30 frames a second, the other 29\.97; "):
+        joined(apart, write_two_frames(tmp_path / "typed.dgs", replace(header, fps=29.97), scene))
+
+
 def test_a_stream_that_is_appended_is_not_written_over(small_stream, segmented_stream) -> None:
     before = segmented_stream.path.read_bytes()
     with pytest.raises(UsageError, match="never replaces what it reads"):

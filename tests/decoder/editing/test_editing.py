@@ -14,14 +14,16 @@ import pytest
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.state import State, take_rows
 from decogs.codec.syntax import write_delta, write_key
-from decogs.decoder.editing import Trim, edit, read_recipe
+from decogs.decoder.editing import Audio, Cameras, Merge, Set, Trim, edit, read_recipe
 from decogs.decoder.editing.commands import edit_main
+from decogs.decoder.editing.editing import MAX_OPERATIONS
 from decogs.decoder.editing.recipe import parse_operations
 from decogs.decoder.stream import open_stream
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import DecogsError, StreamError, UsageError
 from edited_streams import assert_same_scenes, bodies, states_of
 from packets import iterate_packets
+from sounding_streams import with_sound
 
 
 @pytest.fixture
@@ -131,6 +133,28 @@ def test_a_recipe_runs_before_what_is_given(small_stream, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
+    ("name", "line", "words"),
+    [
+        ("r.dgs", "trim 0:1", "-o r.dgs"),
+        ("r.png", "clean --picture r.png", "-o x.dgs"),
+        ("r.toml", "trim 0:1", "-o r.toml"),
+        ("r", "clean --picture link.png", "-o x.dgs"),
+    ],
+)
+def test_a_recipe_is_never_written_over(
+    name: str, line: str, words: str, small_stream, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = f'operations = ["{line}"]\n'
+    Path(name).write_text(text)
+    Path("link.png").hardlink_to(name)
+    assert edit_main([str(small_stream.path), "--recipe", name, *words.split()]) == 2
+    assert "is read, and an edit never replaces what it reads" in capsys.readouterr().err
+    assert Path(name).read_text() == text
+    assert not Path("x.dgs").exists()
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "no recipe"),
@@ -182,6 +206,78 @@ def test_a_file_named_as_an_operation_is_the_options_value(small_stream, tmp_pat
     monkeypatch.chdir(tmp_path)
     assert edit_main([str(small_stream.path), "-o", "trim", "-q", "trim", "0:2"]) == 0
     assert len(states_of(tmp_path / "trim")) == 2
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "transform --turn y=nan",
+        "transform --turn y=inf",
+        "transform --turn y=-inf",
+        "transform --turn y=1e300",
+        "transform --scale nan",
+        "transform --scale inf",
+        "transform --shift 1e300,0,0",
+        "transform --origin 0,1e300,0",
+        "crop sphere 0,0,0 1 --fade 1e-320",
+        "crop sphere 0,0,0 1 --fade nan",
+        "grade --exposure nan",
+        "grade --saturation inf",
+        "grade --white nan,1,1",
+        "set --near nan",
+        "set --near inf",
+        "set --background nan,0,0",
+        "retime --fps nan",
+        "retime --fps inf",
+        "retime --speed 0:2=nan",
+        "retime --speed 0:2=inf",
+        "clean --opacity nan",
+        "clean --opacity 2",
+        "clean --size inf",
+        "clean --isolation nan",
+        "audio --position nan,0,0",
+        "audio --position 1e300,0,0",
+    ],
+)
+def test_numbers_with_which_nothing_can_be_computed_are_one_line(words: str, small_stream, tmp_path, capsys) -> None:
+    stream = with_sound(small_stream.path, tmp_path / "s.dgs")
+    assert edit_main([str(stream), "-o", str(tmp_path / "out.dgs"), *words.split()]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert words.split()[0] in error
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_as_many_operations_as_are_allowed_run_and_more_are_one_line(small_stream, tmp_path: Path, capsys) -> None:
+    recipe = tmp_path / "r.toml"
+    out = tmp_path / "out.dgs"
+    for line in ("trim 0:", "crop sphere 0,0,0 1e6"):
+        recipe.write_text(f"operations = {[line] * MAX_OPERATIONS}")
+        assert edit_main([str(small_stream.path), "-o", str(out), "-q", "--recipe", str(recipe), "trim", "0:2"]) == 2
+        assert "101 operations are too many; give up to 100 at once" in capsys.readouterr().err
+        assert edit_main([str(small_stream.path), "-o", str(out), "-q", "--recipe", str(recipe)]) == 0
+        assert len(states_of(out)) == 8
+
+
+def test_a_stream_of_which_nothing_is_left_says_so(small_stream, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out.dgs"
+    assert edit_main([str(small_stream.path), "-o", str(out), "-q", "clean", "--opacity", "1"]) == 0
+    assert "warning: no Gaussian is left in any frame" in capsys.readouterr().err
+    assert edit_main([str(small_stream.path), "-o", str(out), "-q", "clean", "--opacity", ".5"]) == 0
+    assert "no Gaussian" not in capsys.readouterr().err
+
+
+def test_values_may_be_called_as_operations_are() -> None:
+    words = "set --title crop --licence set trim 0:3 cameras --drop trim audio --title clean merge concat set --sour=x"
+    assert parse_operations(words.split()) == [
+        Set(title="crop", licence="set"),
+        Trim(slice(0, 3)),
+        Cameras(drop=("trim",)),
+        Audio(title="clean"),
+        Merge(Path("concat")),
+        Set(source_text="x"),
+    ]
+    assert parse_operations(["set", "--tit", "trim", "trim", ":2"]) == [Set(title="trim"), Trim(slice(None, 2))]
 
 
 def test_an_unknown_word_is_no_operation() -> None:

@@ -97,7 +97,7 @@ def test_the_command_says_it_in_words(small_stream, tmp_path: Path) -> None:
     [
         (Grade(), "nothing is to be done"),
         (Grade(11.0), "an exposure of -10 to 10"),
-        (Grade(float("nan")), "an exposure of -10 to 10"),
+        (Grade(float("nan")), "nan is not possible"),
         (Grade(saturation=-1.0), "a saturation of 0 to 10"),
         (Grade(white=(1.0, 0.0, 1.0)), "a white above 0"),
     ],

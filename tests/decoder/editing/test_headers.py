@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,16 +14,19 @@ from decogs.codec.corrections import CorrectedCameras, Correction, write_correct
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
+from decogs.codec.sound import SoundTrack
 from decogs.codec.syntax import write_key, write_skip
 from decogs.decoder.commands import decode_main, info_main
 from decogs.decoder.editing import Cameras, Operation, Retime, Set, Speed, Strip, Transform, Trim, edit
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PacketKind, StreamWriter
+from decogs.formats.container import FRAME_KINDS, PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import round_splats
 from edited_streams import bodies, header_of
+from packets import iterate_packets
+from sounding_streams import with_sound
 
 TOLD = {
     "a": Correction(exposure=5, yaw=7),
@@ -130,6 +134,45 @@ def test_strip_leaves_the_licence_and_the_scenes(corrected_stream) -> None:
     header = header_of(edited(corrected_stream, Strip(("provenance",))))
     assert (header.settings, header.source_text, header.writer, header.licence) == ({}, "", "", "CC0")
     assert bodies(corrected_stream.with_name("out.dgs")) == bodies(corrected_stream)
+
+
+def test_strip_of_provenance_leaves_no_name_of_a_file(corrected_stream) -> None:
+    """Tracks of sound are called as the files that they come from; what the stream is called stays."""
+    named = corrected_stream.with_name("named.dgs")
+    track = SoundTrack(1, "secret.wav", (1.0, 2.0, 3.0))
+    rated = corrected_stream.with_name("rated.dgs")
+    edit(corrected_stream, rated, [Retime(fps=25.0)])
+    edit(with_sound(rated, named, (track,)), named.with_name("titled.dgs"), [Set(title="Take")])
+    header = header_of(edited(named.with_name("titled.dgs"), Strip(("provenance",))))
+    assert header.sound == (replace(track, title=""),)
+    assert header.presentation.title == "Take"
+    assert b"secret" not in named.with_name("out.dgs").read_bytes()
+
+
+def test_what_a_later_version_says_is_named_where_it_is_left_out(corrected_stream, tmp_path: Path) -> None:
+    """Members of the header, also within others, and packets wherever they are; what says nothing is no loss."""
+    later = tmp_path / "later.dgs"
+    with later.open("wb") as file:
+        for packet in iterate_packets(io.BytesIO(corrected_stream.read_bytes())):
+            if packet.kind == PacketKind.HEADER:
+                header = json.loads(packet.payload)
+                header |= {"invented": [1], "presentation": {"title": "a", "chapters": [2]}, "empty": ""}
+                header["cameras"][1]["rolling_shutter"] = 0.01
+                writer = StreamWriter(file, json.dumps(header).encode())
+            elif packet.kind in FRAME_KINDS:
+                writer.write(packet.kind, packet.frame, packet.payload)
+        writer.write(9, 1, b"later", critical=False)
+        writer.write(200, 1, b"private", critical=False)
+        writer.finish()
+    said: list[str] = []
+    edit(later, tmp_path / "out.dgs", [Set(licence="mine")], on_warning=said.append)
+    assert said == [
+        f"{later}: holds what this version does not know, which is left out: cameras[1].rolling_shutter, invented, "
+        "presentation.chapters, packets of kind 9, packets of kind 200"
+    ]
+    said.clear()
+    edit(corrected_stream, tmp_path / "out.dgs", [Set(licence="mine")], on_warning=said.append)
+    assert said == []
 
 
 def test_strip_of_the_rig_leaves_one_camera(corrected_stream) -> None:

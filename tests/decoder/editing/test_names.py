@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from decogs.codec.keyframes import new_state
 from decogs.codec.state import State, attributes_from_columns
@@ -56,3 +59,13 @@ def test_ids_of_other_takes_are_never_kept() -> None:
     both = scene(3, OWN_IDS, OWN_IDS + 7, next_id=OWN_IDS + 8)
     assert named(names, both, is_key=True) == [0, 1, 2]
     assert named(names, scene(3, 4, OWN_IDS + 7, next_id=OWN_IDS + 8)) == [0, 3, 2]
+
+
+def test_ids_are_looked_up_only_where_somebody_came_or_went(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame that shows the scene before it once more costs no search; the next one that does not is as ever."""
+    names, state = Names(), scene(1, 2, next_id=20)
+    named(names, state, is_key=True)
+    with monkeypatch.context() as patched:
+        patched.delattr("decogs.decoder.editing.names._looked_up")
+        assert named(names, replace(state, frame=1)) == [1, 2]
+    assert named(names, scene(2, 20, next_id=21)) == [2, 20]

@@ -111,7 +111,7 @@ def test_the_command_says_it_in_words(small_stream, tmp_path: Path) -> None:
         ("--hold 8:1", "a hold of frame 8 for 1 is not possible"),
         ("--hold 3:-1", "a hold of frame 3 for -1 is not possible"),
         ("--hold 3", "'' is no whole number"),
-        ("--fps 0", "fps is no number"),
+        ("--fps 0", "'0' is no rate"),
     ],
 )
 def test_what_cannot_be_is_refused(

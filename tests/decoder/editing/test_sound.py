@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import wave
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,9 @@ def heard(path: Path) -> np.ndarray:
 def test_what_does_not_touch_time_keeps_every_packet(sounding: Path, tmp_path: Path, operation) -> None:
     edit(sounding, tmp_path / "out.dgs", [operation])
     assert sounds_of(tmp_path / "out.dgs") == sounds_of(sounding)
-    assert header_of(tmp_path / "out.dgs").sound == header_of(sounding).sound
+    titled = not isinstance(operation, Strip)
+    tracks = tuple(replace(track, title=track.title * titled) for track in header_of(sounding).sound)
+    assert header_of(tmp_path / "out.dgs").sound == tracks
 
 
 def test_strip_leaves_it_out(sounding: Path, segmented_stream, tmp_path: Path) -> None:
@@ -180,6 +183,9 @@ def test_a_hold_is_silent(sounding: Path, tmp_path: Path) -> None:
 def test_what_cannot_be_is_one_line(sounding: Path, segmented_stream, tmp_path: Path, capsys) -> None:
     (tmp_path / "noise.wav").write_bytes(b"not a sound" * 100)
     plain = str(segmented_stream.path)
+    decode_sound(sounding, tmp_path / "mix.wav")
+    with wave.open(str(tmp_path / "none.wav"), "wb") as file:
+        file.setparams((1, 2, RATE, 0, "NONE", ""))
     for arguments, message in (
         ([str(sounding), "audio"], "nothing is to be done"),
         ([plain, "audio", "--title", "a"], "there is no track 0; the stream has 0"),
@@ -188,6 +194,16 @@ def test_what_cannot_be_is_one_line(sounding: Path, segmented_stream, tmp_path: 
         ([plain, "audio", str(tmp_path / "missing.wav")], "cannot be read as audio"),
         ([str(sounding), "retime", "--fps", "0.5"], "lacks a frame rate of at least 1"),
         ([str(sounding), "audio", "--position", "1,2"], "'1,2'"),
+        ([plain, "audio", str(tmp_path / "mix.wav"), "--begin", "1e300"], "1e+300 is not possible"),
+        (
+            [plain, "audio", str(tmp_path / "mix.wav"), "--begin", "60"],
+            "nothing of it is heard when it begins at second 60",
+        ),
+        (
+            [plain, "audio", str(tmp_path / "mix.wav"), "--begin", "-60"],
+            "nothing of it is heard when it begins at second -60",
+        ),
+        ([plain, "audio", str(tmp_path / "none.wav")], "has no sound"),
     ):
         assert edit_main([arguments[0], "-o", str(tmp_path / "out.dgs"), *arguments[1:]]) == 2
         assert message in capsys.readouterr().err

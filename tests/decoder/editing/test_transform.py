@@ -177,12 +177,12 @@ def test_the_command_says_it_in_words(small_stream, tmp_path: Path) -> None:
     [
         ("transform", "nothing is to be done"),
         ("transform --scale 0", "a scale of 0 is not possible"),
-        ("transform --scale nan", "a scale of nan is not possible"),
+        ("transform --scale nan", "transform: nan is not possible"),
         ("transform --turn w=3", "'w=3' is no turn"),
         ("transform --turn x=a", "'a' is no number"),
         ("transform --shift 1,2", "'1,2' is no vector"),
         ("transform --shift 1,2,inf", "'1,2,inf' is no vector"),
-        ("transform --shift 1e12,1e12,2e12", "presentation is out of its bounds"),
+        ("transform --shift 1e12,0,0 transform --shift 1e12,0,0", "presentation is out of its bounds"),
     ],
 )
 def test_what_cannot_be_is_refused(words: str, message: str, small_stream, tmp_path: Path, capsys) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -15,8 +17,9 @@ BOARD = "charuco:5x4:0.05:0.0375:DICT_4X4_50"
 LENS = Lens("opencv", (500.0, 500.0), (319.5, 239.5), (-0.1, 0.02, 0.0, 0.0))
 
 
-def _picture(*, inverted: bool, mirrored: bool) -> np.ndarray:
-    drawn = np.asarray(Charuco(5, 4, 0.05, 0.0375, "DICT_4X4_50").made().generateImage((500, 400)))
+def _picture(*, inverted: bool = False, mirrored: bool = False, board: Charuco | None = None) -> np.ndarray:
+    board = board or Charuco(5, 4, 0.05, 0.0375, "DICT_4X4_50")
+    drawn = np.asarray(board.made().generateImage((100 * board.columns, 100 * board.rows)))
     picture = cv2.copyMakeBorder(drawn, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
     picture = 255 - picture if inverted else picture
     picture = picture[:, ::-1] if mirrored else picture
@@ -33,6 +36,37 @@ def test_a_board_is_found_inverted_and_mirrored(inverted: bool, mirrored: bool) 
     x = 620 - squares[:, 0] if mirrored else squares[:, 0]
     # Corners lie between pixels; OpenCV finds them to a tenth of a pixel.
     np.testing.assert_allclose(view.pixels, np.stack([x, squares[:, 1]], axis=1), atol=0.6)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (4, 4), (4, 5), (5, 5)])
+def test_a_board_of_opencv_before_4_6_is_found(columns: int, rows: int, inverted: bool) -> None:
+    """With an even number of rows it begins with a marker; with an odd one it is as today."""
+    find = BoardFinder(parse_board(f"charuco:{columns}x{rows}:0.05:0.0375:DICT_4X4_50"))
+    older = Charuco(columns, rows, 0.05, 0.0375, "DICT_4X4_50", is_legacy=True)
+    view = find(_picture(board=older, inverted=inverted))
+    assert view is not None
+    assert len(view.numbers) == (columns - 1) * (rows - 1)
+    np.testing.assert_allclose(view.pixels, older.corners()[view.numbers][:, :2] / 0.05 * 100 + 60, atol=0.6)
+    assert ("before 4.6" in str(find.board)) == (rows % 2 == 0)
+    newer = replace(older, is_legacy=False)
+    assert (find(_picture(board=newer, inverted=inverted)) is not None) == (rows % 2 == 1), "one sight tells"
+
+
+@pytest.mark.parametrize(
+    ("shown", "word"),
+    [
+        (Charuco(4, 6, 0.05, 0.0375, "DICT_4X4_50"), "its markers are seen, but not as a board of 5 x 4"),
+        (Charuco(5, 4, 0.05, 0.0375, "DICT_5X5_50"), "markers of DICT_5X5_1000 are seen, not of DICT_4X4_50"),
+        (Charuco(5, 4, 0.05, 0.0375, "DICT_APRILTAG_36h11"), "markers of DICT_APRILTAG_36h11 are seen"),
+        (None, "and its dictionary of markers, or show it"),
+    ],
+)
+def test_what_is_seen_of_a_board_that_is_not_found_is_named(shown: Charuco | None, word: str) -> None:
+    picture = np.full((400, 500, 3), 128, np.uint8) if shown is None else _picture(board=shown)
+    board = parse_board(BOARD)
+    assert BoardFinder(board)(picture) is None
+    assert word in board.why_unseen([picture])
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 3])

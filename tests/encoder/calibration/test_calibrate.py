@@ -19,6 +19,7 @@ from decogs.encoder.calibration.board_rig import BoardRig
 from decogs.encoder.calibration.boards import BoardView, parse_board
 from decogs.encoder.calibration.commands import calibrate_main
 from decogs.encoder.calibration.lenses import Lens, focal_deviation
+from decogs.formats.extras import install
 from decogs.formats.rigs import open_rig
 
 CORNERS = parse_board("charuco:5x4:0.05:0.0375:DICT_4X4_50").corners()
@@ -73,7 +74,7 @@ def test_without_pycolmap_the_command_says_what_to_install(
     _write_pictures(tmp_path / "videos", ["a", "b", "c"])
     monkeypatch.setattr(builtins, "__import__", without)
     assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
-    assert "pip install 'decogs[calibrate]'" in capsys.readouterr().err
+    assert install("calibrate") in capsys.readouterr().err
     assert not (tmp_path / "rig").exists()
 
 
@@ -81,6 +82,23 @@ def test_two_cameras_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[s
     _write_pictures(tmp_path / "videos", ["a", "b"])
     assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
     assert "holds 2 cameras (a, b)" in capsys.readouterr().err
+
+
+def test_photos_of_an_unknown_ending_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All of them, or those of one camera."""
+    _write_pictures(tmp_path / "videos", ["a", "b"])
+    (tmp_path / "videos/c").mkdir()
+    (tmp_path / "videos/c/IMG_0001.HEIC").write_bytes(b"0")
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "videos/c").rename(tmp_path / "photos/c")
+    assert calibrate_main([str(tmp_path / "photos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
+    assert "c/IMG_0001.HEIC: files ending in .HEIC are not read as frames; convert them" in capsys.readouterr().err
+    (tmp_path / "photos/c").rename(tmp_path / "videos/c")
+    assert calibrate_main([str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]) == 2
+    said = capsys.readouterr().err
+    assert "holds 2 cameras (a, b), and a rig needs 3" in said
+    assert "or convert" in said
+    assert "c/IMG_0001.HEIC, which is not read" in said
 
 
 def test_a_board_that_nobody_sees_may_be_another_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -137,9 +155,9 @@ def _write_pictures(folder: Path, names: list[str]) -> None:
     ("more", "said"),
     [
         (["--distance", "a:d:1"], "--distance from d: there are a, b, c"),
-        (["-o", "{file}"], "file: cannot be written to"),
+        (["-o", "{file}"], "file: is a file; name a folder"),
         (["-o", "{file}/rig"], "file/rig: cannot be written to"),
-        (["-o", "{file}", "--board", BOARD, "--lenses-only"], "file: cannot be written to"),
+        (["-o", "{file}", "--board", BOARD, "--lenses-only"], "file: is a file; name a folder"),
     ],
 )
 def test_what_cannot_be_done_is_said_before_the_work(

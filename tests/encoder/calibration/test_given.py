@@ -102,6 +102,14 @@ def test_lenses_alone_come_from_a_board_in_one_camera(tmp_path: Path) -> None:
     assert np.allclose(camera["focal"], FOCAL, rtol=0.01)  # the goal of the focal length
 
 
+def test_threads_do_not_change_what_is_found(tmp_path: Path) -> None:
+    write_board_videos(tmp_path / "videos", frames=10)
+    for threads in ("1", "3"):
+        arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / threads), "-q", "--board", BOARD, "--lenses-only"]
+        assert calibrate_main([*arguments, "--threads", threads]) == 0
+    assert (tmp_path / "1/calibration.json").read_bytes() == (tmp_path / "3/calibration.json").read_bytes()
+
+
 @pytest.mark.parametrize("name", ["rig.json", "calibration.json", "report.html"])
 @pytest.mark.parametrize("more", [[], ["--lenses-only"]])
 def test_files_of_somebody_else_are_not_written_over(

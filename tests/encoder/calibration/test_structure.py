@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +15,7 @@ import pytest
 
 from decogs.decoder.lens import distort_pixels, with_k1
 from decogs.encoder.calibration import certainty
-from decogs.encoder.calibration.by_motion import _explained, is_mirrored, moving_cameras
+from decogs.encoder.calibration.by_motion import _explained, believed, is_mirrored, moving_cameras
 from decogs.encoder.calibration.certainty import focal_deviations
 from decogs.encoder.calibration.features import Features, features_of, matched, sift_extractor
 from decogs.encoder.calibration.footage import Footage, instants_of, pictures_at
@@ -80,6 +82,24 @@ def test_a_lens_bends_where_pictures_say_so_and_nowhere_else() -> None:
     bent = placed(arc(5, -0.2), 0).cameras[0]
     assert bent.distortion_model == "opencv"
     assert bent.distortion[0] == pytest.approx(-0.2, abs=0.05)  # five of its standard deviations
+
+
+def test_a_mirrored_camera_changes_nothing_of_the_others() -> None:
+    """Near the middle its points lie nearly where they should; with those, the others' focal lengths are 4 % off."""
+    start = matched_points(arc(4), seed=2)
+    pixels = start.features[3].pixels * [-1, 1] + [SIZE[0], 0]
+    features = [*start.features[:3], replace(start.features[3], pixels=pixels)]
+    near = np.flatnonzero(np.abs(pixels[:, 0] - SIZE[0] / 2) < 60)
+    rows = {True: np.stack([near] * 2, axis=1), False: np.stack([np.arange(len(pixels))] * 2, axis=1)}
+    start = replace(
+        start, features=features, pairs=split(features, {pair: rows[3 in pair] for pair in combinations(range(4), 2)})
+    )
+    footage: Any = [SimpleNamespace(name=name, size=SIZE) for name in start.names]
+    mapped, found = believed(start, footage, 0)
+    assert mapped is not None
+    assert list(found.not_connected) == ["cam3"]
+    for number, camera in mapped.cameras.items():
+        assert abs(camera.fx / FOCAL - 1) < mapped.focal_errors[number] < 0.1
 
 
 @pytest.mark.slow

@@ -53,8 +53,8 @@ def built(text: str, found: Sequence[Decision] = (), settings: EncodeSettings = 
         ("none", EffectChoice("none")),
         ("motion, emergence", EffectChoice("none", frozenset({"motion", "emergence"}))),
         ("auto,-camera_shake", EffectChoice("auto", dropped=frozenset({"camera_shake"}))),
-        ("-motion", EffectChoice("all", dropped=frozenset({"motion"}))),
-        (" -camera_shake", EffectChoice("all", dropped=frozenset({"camera_shake"}))),
+        ("-motion", EffectChoice("auto", dropped=frozenset({"motion"}))),
+        (" -camera_shake", EffectChoice("auto", dropped=frozenset({"camera_shake"}))),
         ("\t-camera_shake , auto\n", EffectChoice("auto", dropped=frozenset({"camera_shake"}))),
         ("motion,,", EffectChoice("none", frozenset({"motion"}))),
     ],
@@ -65,7 +65,7 @@ def test_words(text: str, wanted: EffectChoice) -> None:
 
 @pytest.mark.parametrize("text", ["movement", "auto,-movement", "motion auto", "-", "--motion"])
 def test_unknown_words_are_refused(text: str) -> None:
-    with pytest.raises(UsageError, match=rf"`effects` (all,)?{text}: there is no effect"):
+    with pytest.raises(UsageError, match=rf"`effects` (auto,)?{text}: there is no effect"):
         effect_choice(text)
 
 

@@ -18,7 +18,7 @@ import pytest
 from decogs.encoder import EncodeJob, encode
 from decogs.encoder.analysis.analyse import Analysis, analyse
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.analysis.faults import GOOD, HARMFUL, USABLE
+from decogs.encoder.analysis.faults import GOOD, HARMFUL, USABLE, Findings, faults_of
 from decogs.encoder.analysis.recordings import find_lost
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError, UsageError
@@ -104,6 +104,40 @@ def test_what_most_cameras_repeat_or_lose_is_no_fault() -> None:
     assert not lost.repeats.any()
 
 
+def changing(frames: range, count: int = 12) -> list[np.ndarray]:
+    """Four cameras whose pictures change in these frames."""
+    random = np.random.default_rng(2)
+    pictures = [random.integers(40, 200, (count, 48, 64, 3)).astype(np.uint8) for _ in range(4)]
+    for own in pictures:
+        for frame in range(1, count):
+            if frame not in frames:
+                own[frame] = own[frame - 1]
+    return pictures
+
+
+@pytest.mark.parametrize(
+    ("changes", "froze", "came_back", "step", "hung", "dropped"),
+    [
+        (range(12), 9, None, 1, [10, 11], []),  # for good, near the end of what is looked at
+        (range(12), 2, None, 1, list(range(3, 12)), []),
+        (range(0, 12, 2), 1, None, 1, [2, 4, 6, 8, 10], []),  # 30 pictures a second in a video of 60
+        (range(12), 5, 7, 8, [6], []),  # of every eighth frame: eight were missed
+        (range(12), 5, 7, 1, [], [6]),
+        (range(12), 10, None, 1, [], [11]),
+        (range(7, 12), 8, 10, 1, [], [9]),  # after a rest of all
+    ],
+)
+def test_a_camera_that_freezes_for_good_is_told_from_one_that_drops_frames(
+    changes: range, froze: int, came_back: int | None, step: int, hung: list[int], dropped: list[int]
+) -> None:
+    pictures = changing(changes)
+    pictures[1][froze:came_back] = pictures[1][froze]
+    lost = find_lost(pictures, step)
+    assert np.flatnonzero(lost.hung(1)).tolist() == hung
+    assert np.flatnonzero(lost.dropped(1)).tolist() == dropped
+    assert not any(lost.hung(camera).any() or lost.dropped(camera).any() for camera in (0, 2, 3))
+
+
 def carried(step: float) -> tuple[list[Camera], list[np.ndarray]]:
     """A floor, four units deep above and one and a half below, before five cameras, of which cam02 is carried on."""
     random = np.random.default_rng(4)
@@ -186,7 +220,8 @@ def test_the_page_shows_the_plan_every_camera_and_what_is_wrong(
     assert "camera cam01 is out of focus" in page.text
     assert "src='http" not in document
     assert analyze_main([str(rig), "-o", str(rig / "cam00.mp4"), "-q"]) == 2
-    assert "--output" in capfd.readouterr().err
+    assert "cam00.mp4" in capfd.readouterr().err
+    assert (rig / "cam00.mp4").stat().st_size
 
 
 SCENES = {
@@ -224,3 +259,21 @@ def test_nothing_else_is_named_on_untouched_rigs(folder: str) -> None:
     assert {path.name: trouble(analyse(path)) for path in found} == {
         path.name: KNOWN.get(path.name, {}) for path in found
     }
+
+
+@pytest.mark.parametrize(("matched", "words"), [(False, ["noise"]), (True, ["moving", "blurred", "noisy"])])
+def test_noise_that_no_other_camera_shares_is_the_only_fault(matched: bool, words: list[str]) -> None:
+    found = Findings("cam05", noise=74.0, usual_noise=1.2, sharpness=0.04, moving=True, matched=matched)
+    assert [fault.word for fault in faults_of(found)] == words
+
+
+def test_an_encode_of_white_noise_says_that_it_is_noise(
+    wall: tuple[list[Camera], list[np.ndarray]], tmp_path: Path
+) -> None:
+    cameras, pictures = wall
+    random = np.random.default_rng(2)
+    noise = [random.integers(0, 256, own[:3].shape, dtype=np.uint8) for own in pictures]
+    with pytest.raises(
+        RigError, match=r"camera cam\w+ shows noise of \d\d levels and nothing that two cameras agree on"
+    ):
+        encode(EncodeJob(write_rig(cameras, noise, tmp_path / "rig"), tmp_path / "a.dgs", "live", effects="auto"))

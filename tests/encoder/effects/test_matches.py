@@ -38,7 +38,9 @@ def statistics_of(cameras: list[Camera], pictures: list[np.ndarray]) -> RigStati
         mismatch=mismatch(points, lights),
         paths=(),
         matches=matches,
-        recordings=Recordings(*np.zeros((2, len(cameras), 1), bool)),
+        recordings=Recordings(
+            *np.zeros((2, len(cameras), 1), bool), 1, np.zeros(1, bool), np.zeros((len(cameras), 1), bool)
+        ),
         details=np.full((len(cameras), BANDS), np.nan),
         moving=(False,) * len(cameras),
     )
