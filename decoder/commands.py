@@ -242,6 +242,11 @@ def view_parser() -> Parser:
         "--overwrite", action="store_true", help="with -o: into a folder that is there; its other files stay"
     )
     parser.add_argument(
+        "--url",
+        metavar="URL",
+        help="with -o: where the folder will be on the web; links to its page then show a picture everywhere",
+    )
+    parser.add_argument(
         "--rig",
         metavar="RIG_DIR",
         help="the rig it was encoded from: shows what its cameras recorded beside their views",
@@ -393,6 +398,8 @@ def _view(options: argparse.Namespace) -> None:
     if options.output is not None:
         _write_site(options)
         return
+    if options.url is not None:
+        raise UsageError("`url` is where a folder will be; write one with `output`")
     from .following import DEFAULT_IDLE
     from .viewing.notebook import view
 
@@ -417,7 +424,11 @@ def _write_site(options: argparse.Namespace) -> None:
         raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
     with progress("writing", "MB", quiet=options.quiet) as on_megabytes:
         report = write_site(
-            whole_file(options.stream), options.output, overwrite=options.overwrite, on_megabytes=on_megabytes
+            whole_file(options.stream),
+            options.output,
+            overwrite=options.overwrite,
+            url=options.url,
+            on_megabytes=on_megabytes,
         )
     print_text(f"{printable(options.output)}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
     print_text(f"to look at it here: python3 -m http.server -d {shlex.quote(printable(options.output))}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from urllib.parse import quote_from_bytes
+from urllib.parse import quote_from_bytes, urlsplit
 
 from decogs.formats.errors import UsageError
 
@@ -46,9 +46,6 @@ _HEAD = "<title>decogs</title>"
 _PLACE = 'data-src="scene.dgs"'
 """In the built index.html, where the stream's address goes."""
 
-_PREVIEW = f'\n<meta property="og:type" content="video.other">\n<meta property="og:image" content="./{POSTER}">'
-"""What links to the page show."""
-
 
 @dataclass(frozen=True)
 class PageFile:
@@ -70,14 +67,18 @@ def page_files(
     recordings: str | None = None,
     title: str = "",
     poster: bytes | None = None,
+    subject: bool = False,
+    url: str | None = None,
 ) -> list[PageFile]:
     """The page that plays the stream of this file name beside it; index.html is last.
 
     ``follow``: a stream that still grows. ``recordings``: where the pictures of its rig lie, a template.
-    ``title``: what it calls itself. ``poster``: a JPEG that is shown until the first picture is there, and, with title
-    or file name, in links to the page.
-    Raises UsageError where the page was not built, or has a file of that name.
+    ``title``: what it calls itself. ``poster``: a JPEG that is shown until somebody plays, and, with title or file
+    name, in links to the page; of a ``subject`` only in these, since it would hide what a page has behind it. ``url``:
+    where the page's folder will be, since others find the picture of a link only by its whole address.
+    Raises UsageError where the page was not built, or has a file of that name, and for a ``url`` that is none.
     """
+    folder = "./" if url is None else _folder_address(url)
     try:
         found = {path.name: path.read_bytes() for path in sorted(PAGE.iterdir())}
         index = found.pop(INDEX).decode("utf-8")
@@ -90,11 +91,26 @@ def page_files(
     source = f'data-src="{escape(address_of(stream))}"' + (" follow" if follow else "")
     source += "" if recordings is None else f' recordings="{escape(recordings)}"'
     if poster is not None:
-        source += f' poster="./{POSTER}"'
-        name = escape(title or stream.encode("utf-8", "replace").decode())
-        index = index.replace(_HEAD, f'{_HEAD}\n<meta property="og:title" content="{name}">{_PREVIEW}')
+        source += "" if subject else f' poster="./{POSTER}"'
+        link = {"title": title or stream.encode("utf-8", "replace").decode(), "type": "video.other"}
+        link |= {"image": folder + POSTER} if url is None else {"image": folder + POSTER, "url": folder}
+        tags = "".join(f'\n<meta property="og:{name}" content="{escape(text)}">' for name, text in link.items())
+        index = index.replace(_HEAD, _HEAD + tags)
     index = index.replace(_PLACE, source)
     return [*(PageFile(name, data) for name, data in found.items()), PageFile(INDEX, index.encode("utf-8"))]
+
+
+def _folder_address(url: str) -> str:
+    """The address of a folder on a web server, which ends with a slash."""
+    try:
+        parts = urlsplit(url)
+        has_host = parts.hostname and parts.port != 0 and parts.username is None  # a password is for nobody to read
+        whole = parts.scheme in ("http", "https") and has_host and not (parts.query or parts.fragment)
+    except ValueError:
+        whole = False
+    if not whole or not url.isprintable() or " " in url:
+        raise UsageError(f"`url` {url}: is no address of a folder, such as https://example.org/show/")
+    return url.removesuffix(INDEX).rstrip("/") + "/"
 
 
 def address_of(name: str) -> str:

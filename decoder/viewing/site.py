@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from decogs.codec.header import StreamHeader
 from decogs.formats.callbacks import OnProgress
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import Output, check_folder_name, check_outputs, files_read, staged_files
@@ -36,20 +37,23 @@ def write_site(
     folder: str | os.PathLike[str],
     *,
     overwrite: bool = False,
+    url: str | None = None,
     on_megabytes: OnProgress | None = None,
 ) -> SiteReport:
     """Writes the page, its poster and a copy of the stream into ``folder``, which appears when it is whole.
 
     An existing folder is written into when it is empty, or when this made it and nothing else was put there; any other
-    one with ``overwrite``, where files of other names stay. Raises UsageError for what cannot be written, or is read,
-    StreamError for what is no readable stream, OSError when the file cannot be read.
+    one with ``overwrite``, where files of other names stay. ``url``: where the folder will be on the web, for the
+    picture beside links to it. Raises UsageError for what cannot be written, or is read, StreamError for what is no
+    readable stream, OSError when the file cannot be read.
     """
     source, target = Path(stream), Path(folder)
     with open_regular(source) as opened:
         unchanged = Unchanged(opened, source)
         check_header(source, follow=False)
-        title, poster = _shown_first(source)
-        files = page_files(source.name, title=title, poster=poster)
+        header, poster = _shown_first(source)
+        title, subject = header.presentation.title, header.subject
+        files = page_files(source.name, title=title, poster=poster, subject=subject, url=url)
         # One that was written before may have had a poster.
         names = {file.name for file in files} | {source.name, POSTER}
         check_outputs([Output("output", target / name) for name in names], files_read(stream=source))
@@ -62,24 +66,23 @@ def write_site(
     return SiteReport(target, len(files) + 1, copied + sum(len(file.data) for file in files))
 
 
-def _shown_first(stream: Path) -> tuple[str, bytes | None]:
-    """What the stream calls itself, and the picture of its poster frame as JPEG: before the player, and in links.
+def _shown_first(stream: Path) -> tuple[StreamHeader, bytes | None]:
+    """The header, and the picture of the poster frame as JPEG: before the player, and in links.
 
-    No picture of a subject, which JPEG cannot leave out of its background, and of a stream whose frame is damaged.
+    That of a subject is over black, as the page is. None of a stream whose frame is damaged.
     """
     with open_stream(stream, on_damage=lambda damage: None) as opened:
         header = opened.header
         shown = header.presentation
-        if header.subject:
-            return shown.title, None
         seen = [camera.name for camera in header.cameras if camera.name not in header.held_out]
         view = shown.first_view or (seen[0] if seen else header.cameras[0].name)
         poster = max(0, min(shown.poster or 0, opened.frame_count - 1))
+        behind = (0.0, 0.0, 0.0) if header.subject else None
         try:
             frame = next(opened.frames(poster, poster + 1))
         except (StreamError, StopIteration):
-            return shown.title, None
-        return shown.title, jpeg(to_8bit(render_view(header, frame.splats, view, undistorted=True).image))
+            return header, None
+        return header, jpeg(to_8bit(render_view(header, frame.splats, view, background=behind, undistorted=True).image))
 
 
 def _check_folder(folder: Path, names: set[str], overwrite: bool) -> None:

@@ -11,9 +11,21 @@ import type { CameraCorrection, FrameKind, SoundFrame, StreamHeader } from "./sc
 /** Depth of a point along the view: x, y, z weights and an offset, the last row of world-to-camera. */
 export type DepthRow = readonly [number, number, number, number];
 
+/** Which stream to open, and how. */
+export interface Opening {
+  readonly source: string;
+  /** It is still being written. */
+  readonly follow: boolean;
+  /** The frame to show at once, as request 0, without being asked for it; null: none. */
+  readonly first: number | null;
+  /** Nothing is read ahead until a frame is asked for as request 1 or later. */
+  readonly sparing?: boolean;
+  /** Another server gets its cookies. */
+  readonly credentials?: "include";
+}
+
 export type ToWorker =
-  /** `first`: the frame to show at once, as request 0, without being asked for it; null: none. */
-  | { readonly type: "open"; readonly source: string; readonly follow: boolean; readonly first: number | null }
+  | ({ readonly type: "open" } & Opening)
   /** Show a frame; the answer is a "frame" or a "failed" message with the same `request`. */
   | { readonly type: "show"; readonly frame: number; readonly request: number }
   /** Look from elsewhere; answered by an "order", with `serial` of the last of several views. */
@@ -125,6 +137,9 @@ export interface ExactAnswer {
   readonly problem: string | null;
   readonly kernel: boolean;
 }
+
+/** The answer of a worker that is gone: nothing is amiss with its kernel. */
+export const NO_ANSWER: ExactAnswer = { type: "exact", picture: null, problem: null, kernel: true };
 
 export type FromWorker =
   | {

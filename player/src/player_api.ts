@@ -81,6 +81,8 @@ export interface PlayerApi extends HTMLElement {
   /** Frames that are played again and again, from one up to, not including, another; null: all are played. */
   range: Span | null;
   controls: boolean;
+  /** What is read before somebody plays: nothing, the first picture, or what follows it, too. */
+  preload: "none" | "metadata" | "auto";
   overlay: Overlay;
   /** Whether the decoder's own kernel draws: slower, and to the bit what decogs-decode writes. */
   exact: boolean;

@@ -7,6 +7,7 @@ import gzip
 import http.client
 import io
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -22,6 +23,9 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.codec.keyframes import keyframe_state
+from decogs.codec.lattice import quantise
+from decogs.codec.syntax import write_key
 from decogs.decoder import open_stream, view
 from decogs.decoder.commands import view_main
 from decogs.decoder.editing import Set, Transform, edit
@@ -31,6 +35,7 @@ from decogs.decoder.viewing.recorded_pictures import RecordedPictures
 from decogs.decoder.viewing.server import StreamServer, serve_stream
 from decogs.decoder.viewing.site import write_site
 from decogs.decoder.views import render_view
+from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig, read_frames
 
@@ -446,6 +451,78 @@ def test_the_stream_says_which_frame_camera_and_title_links_show(small_stream: A
     assert np.abs(found - np.clip(expected, 0, 1)).mean() < 0.03
     title = '<meta property="og:title" content="A &quot;b&quot; &amp; &lt;c&gt;">'
     assert title in (site / "index.html").read_text()
+
+
+def _links(site: Path) -> dict[str, str]:
+    """What links to a page say of it."""
+    return dict(re.findall(r'<meta property="og:(\w+)" content="([^"]*)">', (site / "index.html").read_text("utf-8")))
+
+
+@pytest.mark.parametrize(
+    ("url", "folder"),
+    [
+        ("https://example.org/show/", "https://example.org/show/"),
+        ("https://example.org/show", "https://example.org/show/"),
+        ("http://localhost:8000", "http://localhost:8000/"),
+        ("https://example.org/a/index.html", "https://example.org/a/"),
+        ("https://example.org/a&b/", "https://example.org/a&amp;b/"),
+    ],
+)
+def test_links_have_the_whole_address_of_their_picture_where_it_is_known(
+    small_stream: Any, tmp_path: Path, url: str, folder: str
+) -> None:
+    assert view_main([str(small_stream.path), "-o", str(tmp_path / "site"), "--url", url]) == 0
+    links = _links(tmp_path / "site")
+    assert (links["image"], links["url"]) == (f"{folder}poster.jpg", folder)
+    assert 'poster="./poster.jpg"' in (tmp_path / "site" / "index.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "example.org/show",
+        "/show/",
+        "ftp://example.org/",
+        "https://",
+        "https://a.org/?x",
+        "https://a.org/#x",
+        "https://a b/",
+        "https://[::1/",
+        "https://a.org:99999/",
+        "https://me:secret@a.org/",
+        "https://a.org/\u202e",
+        "",
+    ],
+)
+def test_what_is_no_address_of_a_folder_is_refused(small_stream: Any, tmp_path: Path, url: str, capsys: Any) -> None:
+    assert view_main([str(small_stream.path), "-o", str(tmp_path / "site"), "--url", url]) == 2
+    assert "is no address of a folder" in capsys.readouterr().err
+    assert not (tmp_path / "site").exists()
+
+
+def test_an_address_without_a_folder_is_refused(small_stream: Any, capsys: Any) -> None:
+    assert view_main([str(small_stream.path), "--url", "https://example.org/"]) == 2
+    assert "write one with -o" in capsys.readouterr().err
+
+
+def test_links_to_a_subject_show_it_over_black_and_the_page_shows_through(small_stream: Any, tmp_path: Path) -> None:
+    subject = tmp_path / "subject.dgs"
+    with open_stream(small_stream.path) as stream, subject.open("wb") as file:
+        header = replace(stream.header, subject=True, background=(0.2, 0.3, 0.5))
+        writer = StreamWriter(file, header.to_bytes())
+        frame = next(stream.frames(0, 1))
+        writer.write(PacketKind.KEY, 0, write_key(keyframe_state(quantise(frame.splats, header.lattice))[0]).payload)
+        writer.finish()
+    assert view_main([str(subject), "-o", str(tmp_path / "site"), "--url", "https://example.org/"]) == 0
+    links = _links(tmp_path / "site")
+    assert (links["image"], links["title"]) == ("https://example.org/poster.jpg", "subject.dgs")
+    assert "poster=" not in (tmp_path / "site" / "index.html").read_text("utf-8")
+    with open_stream(subject) as stream:
+        name = next(camera.name for camera in stream.header.cameras if camera.name not in stream.header.held_out)
+        splats = next(stream.frames(0, 1)).splats
+        expected = render_view(stream.header, splats, name, background=(0, 0, 0), undistorted=True).image
+    found = cv2.imread(str(tmp_path / "site" / "poster.jpg"))[..., ::-1].astype(float) / 255
+    assert np.abs(found - np.clip(expected, 0, 1)).mean() < 0.03
 
 
 def test_a_folder_of_someone_elses_is_left_alone(small_stream: Any, tmp_path: Path, capsys: Any) -> None:

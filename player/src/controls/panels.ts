@@ -19,6 +19,8 @@ const IDLE_MS = 2600;
 const NOTICE_MS = 2600;
 const SPINNER_AFTER_MS = 250;
 const FREE = "";
+/** Pixels of the page: up to so many the bar is one row (style.css), and cameras are chosen in the menu. */
+const NARROW = 520;
 
 const LEGENDS: Readonly<Record<Overlay, string>> = {
   none: "",
@@ -305,14 +307,17 @@ export class Panels {
 
   private update(): void {
     const { player } = this;
-    this.root.host.classList.toggle("playing", !player.paused);
+    const { classList } = this.root.host;
+    if (player.paused === classList.contains("playing")) this.awake(); // the bar goes by itself, whoever plays
+    classList.toggle("playing", !player.paused);
+    this.arrange();
     const [button, text] = player.paused ? (player.ended ? ["replay", "Play again"] : ["play", "Play"]) : ["pause", "Pause"];
     const play = this.part(".play");
     if (play.getAttribute("aria-label") !== text) {
       play.innerHTML = ownMarkup(icon(button as "play"));
       play.setAttribute("aria-label", text);
     }
-    this.part(".start").hidden = player.controls || !player.paused || player.info === null;
+    this.part(".start").hidden = player.controls || !player.paused || (player.info === null && player.preload !== "none");
     this.part(".now-at").textContent = player.header === null ? "" : timeText(player.currentTime);
     this.part(".of").textContent = player.header === null ? "" : ` / ${timeText(player.duration)}`;
     this.updateCameras();
@@ -331,6 +336,14 @@ export class Panels {
     this.updateLegend();
     this.timeline.refresh();
     this.sound.refresh();
+  }
+
+  private arrange(): void {
+    const [cameras, bar] = [this.part(".cameras"), this.part(".row")];
+    const narrow = this.player.clientWidth <= NARROW;
+    if (narrow === !bar.contains(cameras)) return;
+    if (narrow) this.part(".menu").prepend(cameras);
+    else this.field("menu").before(cameras);
   }
 
   private updateCameras(): void {

@@ -43,7 +43,8 @@ export class Thumbnails {
     const { pictures, wanted } = this;
     if (this.busy || wanted < 0 || pictures.has(wanted)) return;
     this.busy = true;
-    pictures.set(wanted, await this.player.thumbnail(wanted, WIDTH));
+    // One that does not come is not worth a word; the frame itself will say what is wrong.
+    pictures.set(wanted, await this.player.thumbnail(wanted, WIDTH).catch(() => null));
     this.busy = false;
     if (this.wanted >= 0) this.show(this.wanted);
   }

@@ -162,9 +162,10 @@ export class Timeline {
     const { left, width } = this.track.getBoundingClientRect();
     this.tip.hidden = false;
     const half = this.tip.offsetWidth / 2;
-    // In the track's own pixels, which a page may show larger or smaller.
-    const { clientWidth } = this.track;
-    const at = ((event.clientX - left) / width) * clientWidth;
-    this.tip.style.left = `${Math.max(half, Math.min(clientWidth - half, at))}px`;
+    // In the track's own pixels, which a page may show larger or smaller; within the player, since the track may be short.
+    const scale = this.track.clientWidth / width;
+    const around = this.player.getBoundingClientRect();
+    const [first, at, last] = [around.left, event.clientX, around.right].map((x) => (x - left) * scale);
+    this.tip.style.left = `${Math.max(first + half, Math.min(last - half, at))}px`;
   }
 }

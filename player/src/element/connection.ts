@@ -1,6 +1,6 @@
 /** The page's end of the worker: messages out, messages in, and tables of frames that grow. */
 import { kernelBytes } from "../exact/bytes";
-import { FRAME_KINDS, type FrameTable, type FromWorker, type ToWorker } from "../messages";
+import { FRAME_KINDS, type FrameTable, type FromWorker, type Opening, type ToWorker } from "../messages";
 import type { FrameKind } from "../scene";
 import { ownScript } from "../trusted";
 import { address, text } from "./worker_script";
@@ -59,15 +59,9 @@ export class Connection {
   /** What an early worker said before this heard it. */
   private readonly said: FromWorker[];
 
-  /** Opens a stream. `first`: the frame to show without being asked, as request 0; null: none. Throws where no worker can be started. */
-  constructor(
-    source: string,
-    follow: boolean,
-    first: number | null,
-    receive: (message: FromWorker) => void,
-    failed: (message: string) => void,
-  ) {
-    const early = earlyFor(source, follow, first);
+  /** Opens a stream. Throws where no worker can be started. */
+  constructor(opening: Opening, receive: (message: FromWorker) => void, failed: (message: string) => void) {
+    const early = earlyFor(opening);
     this.worker = early?.worker ?? spare ?? startedWorker();
     spare = null;
     this.said = early?.said ?? [];
@@ -82,7 +76,7 @@ export class Connection {
     this.worker.onerror = (event) => {
       failed(event.message || notStarted(`${address === null ? "" : `${address} is missing, or `}the page's Content-Security-Policy forbids it (worker-src)`));
     };
-    if (early === null) this.send({ type: "open", source, follow, first });
+    if (early === null) this.send({ type: "open", ...opening });
     else setTimeout(hearEarlier); // as messages come: not before whoever opens the stream is done
   }
 
@@ -101,17 +95,18 @@ export class Connection {
 
   close(): void {
     this.said.length = 0;
+    this.worker.onmessage = this.worker.onerror = null;
     this.send({ type: "close" });
     this.worker.terminate();
   }
 }
 
 /** What was begun early, if it is this stream; it is there once. */
-function earlyFor(source: string, follow: boolean, first: number | null): Early | null {
+function earlyFor({ source, follow, first, credentials }: Opening): Early | null {
   const early = globalThis.decogsEarly;
   globalThis.decogsEarly = undefined;
   if (early === undefined) return null;
-  if (!early.failed && early.source === source && early.follow === follow && early.first === first) return early;
+  if (!early.failed && early.source === source && early.follow === follow && early.first === first && credentials === undefined) return early;
   early.worker.terminate();
   return null;
 }

@@ -144,11 +144,11 @@ export class Pictures {
   }
 
   /** A subject lies over the page, or over a colour; null: none was named. */
-  layBehind(background: string | null): void {
+  layBehind(background: string | null, poster: HTMLElement): void {
     const clear = this.#begun?.header.subject ?? background !== null;
-    for (const canvas of this.elements) {
-      canvas.classList.toggle("clear", clear);
-      canvas.style.backgroundColor = clear ? (background ?? "") : "";
+    for (const picture of [...this.elements, poster]) {
+      picture.classList.toggle("clear", clear);
+      picture.style.backgroundColor = clear ? (background ?? "") : "";
     }
   }
 
@@ -171,7 +171,6 @@ export class Pictures {
   dispose(): void {
     clearTimeout(this.#lostTimer);
     this.#detachPointer();
-    this.stage.dispose();
     this.#fast?.dispose();
     this.#exactly?.dispose();
     for (const canvas of this.elements) canvas.remove();

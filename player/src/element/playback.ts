@@ -36,22 +36,29 @@ export class Playback {
     return Math.max(0, Math.min(Math.floor(this.position + 1e-6), this.frameCount - 1));
   }
 
+  /** The frames that are played again and again, as far as they are known; null: none are. */
+  get repeated(): Span | null {
+    const { range, frameCount, complete } = this;
+    if (range !== null && range[0] < frameCount) return [range[0], complete ? Math.min(range[1], frameCount) : range[1]];
+    return this.loop && complete && frameCount > 0 ? [0, frameCount] : null;
+  }
+
   /** Goes on by some seconds from a picture that shows frame `shown`. */
   advance(seconds: number, shown: number): void {
     if (!this.playing || this.frameCount === 0) return;
-    const next = this.position + seconds * this.rate * this.fps;
     const most = shown + this.allowed() + 1 - 1e-3;
-    const [from, to] = this.range ?? [0, Infinity];
-    if (this.range !== null && from < this.frameCount && next >= (this.complete ? Math.min(to, this.frameCount) : to)) {
-      this.position = from;
+    const next = Math.min(this.position + seconds * this.rate * this.fps, Math.max(most, this.position));
+    const { repeated } = this;
+    if (repeated !== null && next >= repeated[1]) {
+      const [from, to] = repeated;
+      // What is beyond the end belongs to the next pass, since sound goes on without a gap. Elsewhere a range begins anew.
+      this.position = this.position < to ? from + ((next - to) % (to - from)) : from;
       return;
     }
-    this.position = next < this.frameCount ? Math.min(next, Math.max(most, this.position)) : next;
+    this.position = next;
     if (this.position < this.frameCount) return;
     if (!this.complete) {
       this.position = this.frameCount - 1e-3; // what comes next is not there yet
-    } else if (this.loop && shown >= 0) {
-      this.position = 0;
     } else {
       this.position = this.frameCount;
       this.playing = false;

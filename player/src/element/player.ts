@@ -1,7 +1,7 @@
 /**
  * `<decogs-player src="scene.dgs" controls>`: plays a stream, with the manners of <video>.
  *
- * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
+ * Attributes: src, controls, autoplay, loop, poster, preload, crossorigin, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
  * quality (a share of the pixels, and fewer Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
@@ -12,20 +12,24 @@ import { startRecorded } from "../draw/recorded";
 import type { Lens, PinholeCamera } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
 import { intoScene } from "../geometry/similarity";
-import { length, type Vector } from "../geometry/vectors";
-import type { FrameInfo } from "../messages";
+import type { Vector } from "../geometry/vectors";
+import { NO_ANSWER, type FrameInfo } from "../messages";
 import { OVERLAYS, type Figures, type FrameList, type Overlay, type Place, type PlayerApi, type Span, type View } from "../player_api";
 import type { StreamHeader } from "../scene";
 import type { PlayerEvent } from "./events";
 import { adopt, adoptAgain } from "../adopted_style";
+import { AttributeElement, takeOverProperties } from "./attributes";
+import { FrameCallbacks } from "./frame_callbacks";
 import { Headset } from "./headset";
 import { LateControls } from "./late_controls";
 import { PixelRatio } from "./pixel_ratio";
 import { Pictures, type ExactChoice, type PicturesHost } from "./pictures";
+import { Poster } from "./poster";
 import { Ranges } from "./ranges";
-import { RigCameras } from "./rig_cameras";
 import { Session } from "./session";
+import { Sight } from "./sight";
 import style from "./style.css";
+import { Viewpoint } from "./viewpoint";
 
 const LONGEST_STEP = 0.1;
 
@@ -43,14 +47,12 @@ const UNNAMED = "Free-viewpoint video";
 /** Where the project's own tests look inside; nothing of it is promised to anybody. */
 const INSIDE = Symbol.for("decogs.inside");
 
-/** A server evaluates the module, too, and has no elements. */
-const Base = "HTMLElement" in globalThis ? HTMLElement : (Object as unknown as typeof HTMLElement);
-
-export class DecogsPlayer extends Base implements PlayerApi {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted"];
+export class DecogsPlayer extends AttributeElement implements PlayerApi {
+  static readonly observedAttributes = ["src", "crossorigin", "preload", "controls", "autoplay", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted"];
 
   readonly #root = this.attachShadow({ mode: "open" });
-  readonly #poster = document.createElement("img");
+  readonly #poster = new Poster();
+  readonly #frameCallbacks = new FrameCallbacks();
   readonly #late = new LateControls(this, this.#root);
   readonly #session = new Session({
     tell: (name) => {
@@ -74,7 +76,7 @@ export class DecogsPlayer extends Base implements PlayerApi {
     opened: (header) => {
       this.#opened(header);
     },
-    autoplay: () => this.autoplay,
+    autoplay: () => this.autoplay && !this.#waitsToBeSeen(),
   });
   readonly #headset = new Headset(
     this.#session,
@@ -89,9 +91,21 @@ export class DecogsPlayer extends Base implements PlayerApi {
     },
   );
   #pictures: Pictures | null = null;
-  #cameras: RigCameras | null = null;
-  /** What to look at when the next stream has come. */
-  #startView: View | null = null;
+  readonly #viewpoint = new Viewpoint({
+    navigation: () => this.#pictures?.stage.navigation ?? null,
+    moved: () => {
+      this.#pictures?.stage.touch();
+      this.#tell("camerachange");
+      this.#wake();
+    },
+    put: () => {
+      this.#late.panels?.tellCamera();
+    },
+    asked: () => {
+      this.#poster.giveWay();
+    },
+  });
+  #overlay: Overlay = "none";
   /** The address of the stream that is open or was open last. */
   #source = "";
   /** Where it stood when the element left the page. */
@@ -99,7 +113,10 @@ export class DecogsPlayer extends Base implements PlayerApi {
   #comparing = false;
   /** The name that the page's author has not given. */
   #ownName = "";
-  #pausedByHiding = false;
+  /** Whether the stream is opened when somebody plays it. */
+  #deferred = false;
+  /** Whether playing goes on once the player is seen again. */
+  #pausedUnseen = false;
   #ticking = 0;
   #lastTick = 0;
   /** The document that is heard. */
@@ -110,13 +127,14 @@ export class DecogsPlayer extends Base implements PlayerApi {
   readonly #ratio = new PixelRatio(() => {
     this.#touch();
   });
+  readonly #sight = new Sight(() => {
+    this.#sightChanged();
+  });
 
   constructor() {
     super();
-    this.#poster.className = "poster";
-    this.#poster.alt = "";
     adopt(this.#root, style);
-    this.#root.append(this.#poster);
+    this.#root.append(this.#poster.image);
     for (const name of ["keydown", "keyup"] as const) {
       this.addEventListener(name, (event) => {
         this.#late.key(event);
@@ -124,18 +142,19 @@ export class DecogsPlayer extends Base implements PlayerApi {
     }
     this.addEventListener("blur", () => {
       this.#late.forgetKeys();
-      if (this.#pictures !== null) this.#pictures.stage.navigation.flight = [0, 0, 0];
+      if (this.#viewpoint.isFlying) this.#viewpoint.fly([0, 0, 0]);
     });
   }
 
   connectedCallback(): void {
+    takeOverProperties(this);
     if (!this.hasAttribute("tabindex")) this.tabIndex = 0;
     if (!this.hasAttribute("role")) this.setAttribute("role", "region");
     if (!this.hasAttribute("aria-label")) this.#name(UNNAMED);
     this.#resized.observe(this);
     if (this.#document !== this.ownerDocument) this.#moveTo(this.ownerDocument);
     this.#ratio.begin(this.#window);
-    this.#document.addEventListener("visibilitychange", this.#visibilityChanged);
+    this.#sight.begin(this);
     if (this.#pictures === null || this.#source !== this.#address) this.#open();
   }
 
@@ -143,7 +162,7 @@ export class DecogsPlayer extends Base implements PlayerApi {
   disconnectedCallback(): void {
     this.#resized.disconnect();
     this.#ratio.end();
-    this.#document.removeEventListener("visibilitychange", this.#visibilityChanged);
+    this.#sight.end();
     queueMicrotask(() => {
       if (!this.isConnected) this.#leave();
     });
@@ -155,86 +174,42 @@ export class DecogsPlayer extends Base implements PlayerApi {
 
   attributeChangedCallback(name: string, before: string | null, value: string | null): void {
     if (before === value) return;
-    if (name === "src" && this.isConnected) this.#open();
+    if ((name === "src" || name === "crossorigin") && this.isConnected) this.#open();
+    if (this.#deferred && !this.#defers) this.#begin();
     if (name === "loop") this.#session.playback.loop = value !== null;
-    if (name === "poster") this.#showPoster(value);
+    if (name === "poster") this.#poster.address = this.poster;
     if (name === "exact" && this.#pictures?.chooseExact(this.#exactChoice) === true) this.#wake();
     if (name === "recorded") void this.#chooseRecorded();
-    if (name === "background") this.#pictures?.layBehind(value);
-    if (name === "orbit") this.#sway();
+    if (name === "background") this.#pictures?.layBehind(value, this.#poster.image);
+    if (name === "orbit") {
+      this.#viewpoint.sway(value !== null);
+      this.#wake();
+    }
     if (name === "muted") this.muted = value !== null;
-    if (name === "limits") this.#limit();
+    if (name === "limits") this.#viewpoint.limit(value === "rig");
     if (name === "quality") this.#chooseQuality();
-    if (name === "range") this.#session.playback.range = spanOf(value);
+    if (name === "range") this.#session.playback.range = this.range;
     if (name === "camera" && value !== null) this.camera = value;
     this.#late.panels?.refresh();
   }
 
-  get src(): string {
-    return this.getAttribute("src") ?? "";
+  /** The address of the stream that is open. */
+  get currentSrc(): string {
+    return this.#source;
   }
-  set src(value: string) {
-    this.setAttribute("src", value);
-  }
-  get poster(): string {
-    return this.getAttribute("poster") ?? "";
-  }
-  set poster(value: string) {
-    this.setAttribute("poster", value);
-  }
-  get controls(): boolean {
-    return this.hasAttribute("controls");
-  }
-  set controls(value: boolean) {
-    this.toggleAttribute("controls", value);
-  }
-  get autoplay(): boolean {
-    return this.hasAttribute("autoplay");
-  }
-  set autoplay(value: boolean) {
-    this.toggleAttribute("autoplay", value);
-  }
-  get loop(): boolean {
-    return this.hasAttribute("loop");
-  }
-  set loop(value: boolean) {
-    this.toggleAttribute("loop", value);
-  }
-  get range(): Span | null {
-    return this.#session.playback.range;
-  }
-  set range(value: Span | null) {
-    if (value === null) this.removeAttribute("range");
-    else this.setAttribute("range", `${value[0]}:${value[1]}`);
-  }
-  get quality(): number {
-    const share = Number(this.getAttribute("quality") ?? 1);
-    return share > 0 && share <= 1 ? share : 1;
-  }
-  set quality(value: number) {
-    if (!(value > 0 && value <= 1)) throw new RangeError("quality must be above 0 and at most 1");
-    this.setAttribute("quality", String(value));
-  }
-  get recorded(): boolean {
-    return this.hasAttribute("recorded");
-  }
-  set recorded(value: boolean) {
-    this.toggleAttribute("recorded", value);
-  }
-
   get volume(): number {
     return this.#session.sound.volume;
   }
   set volume(value: number) {
     this.#session.sound.volume = value;
-    this.#tell("volumechange");
+    this.#volumeChanged();
   }
   get muted(): boolean {
     return this.#session.sound.muted;
   }
   set muted(value: boolean) {
     this.#session.sound.muted = value;
-    this.#tell("volumechange");
+    this.#volumeChanged();
   }
 
   get header(): StreamHeader | null {
@@ -315,10 +290,11 @@ export class DecogsPlayer extends Base implements PlayerApi {
   }
 
   get overlay(): Overlay {
-    return this.#pictures?.stage.overlay ?? "none";
+    return this.#overlay;
   }
   set overlay(overlay: Overlay) {
     if (!OVERLAYS.includes(overlay)) throw new RangeError(`overlay must be one of ${OVERLAYS.join(", ")}`);
+    this.#overlay = overlay;
     if (this.#pictures === null) return;
     this.#pictures.overlay = overlay;
     this.#touch();
@@ -346,16 +322,13 @@ export class DecogsPlayer extends Base implements PlayerApi {
     this.#wake();
   }
   get camera(): string {
-    return this.#cameras?.current?.name ?? "";
+    return this.#viewpoint.camera?.name ?? "";
   }
   set camera(name: string) {
-    const index = this.#cameras?.named(name) ?? -1;
-    if (index >= 0) this.lookThrough(index);
+    this.#viewpoint.lookAt(name);
   }
   get view(): View | null {
-    if (this.#pictures === null || this.header === null) return null;
-    const { pose, lens } = this.#pictures.stage.navigation;
-    return { pose, lens };
+    return this.#viewpoint.view;
   }
   get figures(): Figures | null {
     if (this.#pictures === null || this.info === null) return null;
@@ -371,12 +344,23 @@ export class DecogsPlayer extends Base implements PlayerApi {
   }
 
   play(): Promise<void> {
+    this.#pausedUnseen = false;
+    if (this.#deferred) this.#begin();
     return this.#session.play();
   }
 
   pause(): void {
-    this.#pausedByHiding = false;
+    this.#pausedUnseen = false;
     this.#session.pause();
+  }
+
+  /** Has a function called once, when the next frame has come into the picture; its number, to take it back with. */
+  requestVideoFrameCallback(callback: VideoFrameRequestCallback): number {
+    return this.#frameCallbacks.request(callback);
+  }
+
+  cancelVideoFrameCallback(request: number): void {
+    this.#frameCallbacks.cancel(request);
   }
 
   currentCamera(width?: number, height?: number): PinholeCamera | null {
@@ -388,7 +372,7 @@ export class DecogsPlayer extends Base implements PlayerApi {
     if (this.#pictures === null || this.info === null) throw new Error("there is no picture yet");
     const size = this.#pixels();
     if (this.recorded) await startRecorded();
-    const picture = await this.#pictures.stage.capture(width ?? size.width, height ?? size.height);
+    const picture = await this.#pictures.stage.capture(width ?? size.width, height ?? size.height, this.#session.lost);
     this.#wake();
     return picture;
   }
@@ -408,26 +392,19 @@ export class DecogsPlayer extends Base implements PlayerApi {
   }
 
   lookThrough(index: number, atOnce = false): void {
-    if (this.#cameras?.lookThrough(index, atOnce) === true) this.#cameraPut();
+    this.#viewpoint.lookThrough(index, atOnce);
   }
 
   nextCamera(step: 1 | -1): void {
-    if (this.#cameras !== null) this.lookThrough(this.#cameras.next(step));
+    this.#viewpoint.next(step);
   }
 
   backToCamera(): void {
-    if (this.#cameras?.back() === true) this.#cameraPut();
+    this.#viewpoint.back();
   }
 
   lookFrom(pose: Pose, lens: Lens): void {
-    if (this.#pictures === null) this.#startView = { pose, lens };
-    else {
-      const { stage } = this.#pictures;
-      stage.navigation.goTo(pose, lens, true);
-      stage.navigation.moved = true;
-      stage.touch();
-      this.#cameraMoved();
-    }
+    this.#viewpoint.lookFrom(pose, lens);
   }
 
   async enterXr(mode: "immersive-vr" | "immersive-ar"): Promise<void> {
@@ -441,9 +418,7 @@ export class DecogsPlayer extends Base implements PlayerApi {
   }
 
   fly(direction: Vector): void {
-    if (this.#pictures === null) return;
-    this.#pictures.stage.navigation.flight = direction;
-    this.#cameraMoved();
+    this.#viewpoint.fly(direction);
   }
 
   recordedPlace(): Place | null {
@@ -490,13 +465,21 @@ export class DecogsPlayer extends Base implements PlayerApi {
     if (stage === undefined || this.#headset.entered) return;
     this.#session.advance(seconds);
     this.#session.sound.listen(stage.navigation.pose);
-    if (stage.step(now, seconds, playback.playing)) this.#poster.hidden = true;
-    this.#pictures?.judge();
+    if (!this.#sight.offScreen) {
+      if (stage.step(now, seconds, playback.playing)) this.#drawn(now);
+      this.#pictures?.judge();
+    }
     this.#late.panels?.tick(now);
-    const waiting = playback.playing || stage.pending || stage.renderer.busy;
-    const flying = length(stage.navigation.flight) > 0 || stage.navigation.isSwaying;
-    if (waiting || flying) this.#wake();
+    const changing = stage.pending || stage.renderer.busy || this.#viewpoint.isMoving;
+    if (playback.playing || (changing && !this.#sight.offScreen)) this.#wake();
   };
+
+  #drawn(now: number): void {
+    this.#poster.drawn();
+    if (this.info === null) return;
+    const { info, fps, videoWidth: width, videoHeight: height } = this;
+    this.#frameCallbacks.drawn(info.frame, now, { width, height, fps, costMs: info.decodeMs + info.packMs });
+  }
 
   get #address(): string {
     return this.src === "" ? "" : new URL(this.src, document.baseURI).href;
@@ -511,13 +494,28 @@ export class DecogsPlayer extends Base implements PlayerApi {
     }
     if (this.#left?.source === this.#source) this.#session.start ??= { frame: this.#left.frame };
     else this.#left = null;
+    if (this.#defers) {
+      this.#deferred = true;
+      this.#late.start();
+    } else this.#begin();
+  }
+
+  /** Whether nothing is to be read before somebody plays. */
+  get #defers(): boolean {
+    return this.preload === "none" && !this.autoplay && this.#left === null;
+  }
+
+  /** Has the stream come. */
+  #begin(): void {
+    this.#deferred = false;
     try {
       this.#pictures ??= this.#newPictures();
     } catch (error) {
       this.#session.fail(error instanceof Error ? error.message : String(error));
       return;
     }
-    this.#session.open(this.#source, this.hasAttribute("follow"), this.#pictures);
+    const opening = { source: this.#source, follow: this.hasAttribute("follow"), sparing: this.preload === "metadata" && !this.autoplay };
+    this.#session.open(this.crossOrigin === "use-credentials" ? { ...opening, credentials: "include" } : opening, this.#pictures);
   }
 
   /** Gives everything back that an element outside of the page does not need. */
@@ -532,8 +530,11 @@ export class DecogsPlayer extends Base implements PlayerApi {
   }
 
   #close(): void {
+    this.#deferred = this.#pausedUnseen = false;
     this.#session.close();
-    this.#cameras = null;
+    this.#poster.stand();
+    this.#frameCallbacks.begin();
+    this.#viewpoint.close();
     this.#late.panels?.refresh();
   }
 
@@ -547,14 +548,15 @@ export class DecogsPlayer extends Base implements PlayerApi {
         this.#session.send({ type: "resend" });
       },
       drawExactly: (camera) => {
-        this.#session.send({ type: "exact", camera });
+        if (this.#session.lost.aborted) this.#pictures?.exactlyDrawn(NO_ANSWER);
+        else this.#session.send({ type: "exact", camera });
       },
       lookedThrough: () => {
-        const camera = this.recorded ? (this.#cameras?.current ?? null) : null;
+        const camera = this.recorded ? this.#viewpoint.camera : null;
         return camera === null ? null : { camera, correction: this.info?.corrections.get(camera.name) ?? null };
       },
       cameraMoved: () => {
-        this.#cameraMoved();
+        this.#viewpoint.moved();
       },
       changed: () => {
         this.#touch();
@@ -565,24 +567,19 @@ export class DecogsPlayer extends Base implements PlayerApi {
       },
     };
     const pictures = new Pictures(host, this.#exactChoice);
-    this.#poster.before(...pictures.elements);
+    pictures.overlay = this.#overlay;
+    this.#poster.image.before(...pictures.elements);
     return pictures;
   }
 
-  /** The camera that was asked for, or the first; a view that was asked for comes before both. */
   #opened(header: StreamHeader): void {
-    this.#pictures!.layBehind(this.getAttribute("background"));
+    this.#pictures!.layBehind(this.getAttribute("background"), this.#poster.image);
     if (this.getAttribute("aria-label") === this.#ownName) this.#name(header.presentation.title || UNNAMED);
-    const cameras = new RigCameras(header, this.#pictures!.stage.navigation);
-    this.#cameras = cameras;
     const left = this.#left;
-    const named = cameras.named(left?.camera || this.getAttribute("camera"));
-    this.lookThrough(named >= 0 ? named : cameras.first, true);
-    const view = this.#startView ?? (left?.camera === "" ? left.view : null);
-    if (view !== null) this.lookFrom(view.pose, view.lens);
-    this.#startView = this.#left = null;
-    this.#limit();
-    this.#sway();
+    this.#left = null;
+    this.#viewpoint.open(header, this.#pictures!.stage.navigation, left?.camera || this.getAttribute("camera"), left?.camera === "" ? left.view : null);
+    this.#viewpoint.limit(this.getAttribute("limits") === "rig");
+    this.#viewpoint.sway(this.hasAttribute("orbit"));
     if (this.quality < 1) this.#chooseQuality();
   }
 
@@ -596,15 +593,6 @@ export class DecogsPlayer extends Base implements PlayerApi {
     this.#pictures.stage.quality = this.quality;
     this.#session.send({ type: "detail", share: (1 + this.quality) / 2 }); // Gaussians are missed sooner than pixels
     this.#touch();
-  }
-
-  #limit(): void {
-    if (this.#pictures !== null) this.#pictures.stage.navigation.limited = this.getAttribute("limits") === "rig";
-  }
-
-  #sway(): void {
-    this.#pictures?.stage.navigation.sway(this.hasAttribute("orbit"));
-    this.#wake();
   }
 
   async #chooseRecorded(): Promise<void> {
@@ -623,22 +611,6 @@ export class DecogsPlayer extends Base implements PlayerApi {
     this.#wake();
   }
 
-  #cameraPut(): void {
-    this.#pictures!.stage.touch();
-    this.#cameraMoved();
-    this.#late.panels?.tellCamera();
-  }
-
-  #cameraMoved(): void {
-    this.#tell("camerachange");
-    this.#wake();
-  }
-
-  #showPoster(address: string | null): void {
-    this.#poster.hidden = address === null || this.info !== null;
-    if (address !== null) this.#poster.src = address;
-  }
-
   /** The size of the picture in device pixels. */
   #pixels(): { width: number; height: number } {
     const ratio = this.#ratio.value;
@@ -647,23 +619,34 @@ export class DecogsPlayer extends Base implements PlayerApi {
   }
 
   #tell(name: PlayerEvent): void {
+    if (name === "play" || name === "seeking") this.#poster.giveWay();
     this.dispatchEvent(new Event(name));
     this.#late.panels?.refresh();
   }
 
-  readonly #visibilityChanged = (): void => {
-    if (this.#document.hidden) {
-      if (this.paused) return;
-      this.pause();
-      this.#pausedByHiding = true;
-    } else if (this.#pausedByHiding) this.play().catch(() => undefined);
-  };
-}
+  #volumeChanged(): void {
+    this.#tell("volumechange");
+    this.#sightChanged();
+  }
 
-/** Frames A:B, as commands have them; null for what is none. */
-function spanOf(text: string | null): Span | null {
-  const found = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
-  if (found === null) return null;
-  const [from, to] = [Number(found[1]), Number(found[2])];
-  return from < to ? [from, to] : null;
+  /** A player that nobody sees pauses, unless somebody hears it and its page is shown. */
+  get #unseen(): boolean {
+    return this.#sight.pageHidden || (this.#sight.offScreen && !this.#session.sound.audible && !this.#headset.entered);
+  }
+
+  readonly #sightChanged = (): void => {
+    if (!this.#unseen) {
+      if (this.#pausedUnseen) this.play().catch(() => undefined);
+    } else if (!this.paused) {
+      this.pause();
+      this.#pausedUnseen = true;
+    }
+    this.#wake();
+  };
+
+  /** Whether playing by itself has to wait until somebody sees it. */
+  #waitsToBeSeen(): boolean {
+    this.#pausedUnseen ||= this.#unseen;
+    return this.#pausedUnseen;
+  }
 }

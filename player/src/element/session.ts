@@ -1,8 +1,9 @@
 /** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
 import type { PinholeCamera } from "../geometry/camera";
 import { inItsWorld } from "../geometry/similarity";
-import type { DrawOrder, ExactAnswer, ExactPicture, FrameInfo, FromWorker, SceneUpdate, TextureLayout, ToWorker } from "../messages";
+import { NO_ANSWER, type DrawOrder, type ExactAnswer, type ExactPicture, type FrameInfo, type FromWorker, type Opening, type SceneUpdate, type TextureLayout, type ToWorker } from "../messages";
 import type { StreamHeader } from "../scene";
+import { Answers } from "./answers";
 import { Connection, FrameColumns } from "./connection";
 import type { PlayerEvent } from "./events";
 import type { Span } from "../player_api";
@@ -87,35 +88,48 @@ export class Session {
   #busy = false;
   /** Why nothing comes from the network; null when nothing is wrong. */
   #trouble: string | null = null;
-  /** Those who wait until playing has begun. */
-  #beginnings: { readonly begun: () => void; readonly refused: (reason: DOMException) => void }[] = [];
+  /** Whether time runs: false while a picture, or one that was sought, is still to come. */
+  #running = false;
   #notice: string | null = null;
   /** Why WebGL2 draws where the kernel was to; null where nothing is amiss. */
   #instead: string | null = null;
-  /** Those who wait for pictures of keyframes. */
-  #stillAsked: ((picture: ExactPicture | null) => void)[] = [];
-  /** Those who wait for the frame as a .ply. */
-  #plyAsked: { readonly given: (bytes: Uint8Array<ArrayBuffer>) => void; readonly refused: (reason: Error) => void }[] = [];
+  /** Until playing has begun. */
+  readonly #beginnings = new Answers<undefined>();
+  /** Pictures of keyframes. */
+  readonly #stills = new Answers<ExactPicture | null>();
+  /** The frame as a .ply. */
+  readonly #plys = new Answers<Uint8Array<ArrayBuffer>>();
+  /** Is aborted when the worker that is to answer is gone. */
+  #lost = AbortSignal.abort(new Error("no stream is open"));
+  #lose: (reason: Error) => void = () => undefined;
 
   constructor(private readonly host: SessionHost) {}
 
-  open(source: string, follow: boolean, pictures: Drawing): void {
+  open(opening: Omit<Opening, "first">, pictures: Drawing): void {
     this.#pictures = pictures;
-    this.#follow = follow;
+    this.#follow = opening.follow;
     this.host.loading(true);
     this.host.tell("loadstart");
     const { start } = this;
     const first = start === null ? 0 : "frame" in start ? start.frame : null;
     this.#requested = first ?? -1;
-    const failed = (message: string): void => {
-      this.fail(message);
+    const controller = new AbortController();
+    this.#lost = controller.signal;
+    this.#lose = (reason) => {
+      controller.abort(reason);
+      pictures.exactlyDrawn(NO_ANSWER);
+      this.#stills.refuseAll(reason);
+      this.#plys.refuseAll(reason);
+    };
+    const died = (message: string): void => {
+      this.#die(message);
     };
     try {
-      this.#connection = new Connection(source, follow, first, (message) => {
+      this.#connection = new Connection({ ...opening, first }, (message) => {
         this.#receive(message);
-      }, failed);
+      }, died);
     } catch (error) {
-      failed(error instanceof Error ? error.message : String(error));
+      died(error instanceof Error ? error.message : String(error));
     }
   }
 
@@ -126,10 +140,10 @@ export class Session {
     const playing = this.#connection === null && this.playback.playing;
     this.#connection?.close();
     this.#connection = null;
-    for (const given of this.#stillAsked.splice(0)) given(null);
-    for (const { refused } of this.#plyAsked.splice(0)) refused(new Error("the stream was closed"));
     this.sound.close();
-    if (!playing) this.#refuse("AbortError", "another stream was opened, or the player has left the page");
+    const gone = new DOMException("another stream was opened, or the player has left the page", "AbortError");
+    this.#lose(gone);
+    if (!playing) this.#beginnings.refuseAll(gone);
     const emptied = this.header !== null;
     this.header = this.info = this.error = this.#notice = this.#trouble = this.#instead = null;
     this.waiting = false;
@@ -154,6 +168,11 @@ export class Session {
     return this.#seekRequest >= 0;
   }
 
+  /** Aborted where nobody answers any more: no stream is open, or its worker has died. */
+  get lost(): AbortSignal {
+    return this.#lost;
+  }
+
   send(message: ToWorker): void {
     this.#connection?.send(message);
   }
@@ -163,13 +182,15 @@ export class Session {
     const { playback } = this;
     const wasPlaying = playback.playing;
     if (this.waiting && this.#enough()) this.#goOn();
-    // Time begins with the first picture; where there is sound, it is that of the sound.
-    const passed = this.sound.elapsed() ?? seconds;
-    if (!this.waiting && this.info !== null) playback.advance(passed, this.info.frame);
-    if (playback.playing && !this.waiting && this.info !== null && !this.seeking) this.sound.keep(playback);
+    const wasRunning = this.#running;
+    this.#running = playback.playing && !this.waiting && this.info !== null && !this.seeking;
+    // Time begins with the picture, not with what was waited before; where there is sound, it is that of the sound.
+    if (this.#running && wasRunning) playback.advance(this.sound.elapsed() ?? seconds, this.info!.frame);
+    if (this.#running && playback.playing) this.sound.keep(playback);
     else this.sound.rest();
-    const shown = this.#standsIn ?? playback.due;
-    if (playback.frameCount > 0 && shown !== this.#requested) this.#request(shown);
+    const standsIn = this.#standsIn;
+    const shown = standsIn ?? playback.due;
+    if (playback.frameCount > 0 && shown !== this.#requested) this.#request(shown, standsIn === null);
     if (!wasPlaying || !playback.ended) return;
     this.host.tell("pause");
     this.host.tell("ended");
@@ -183,37 +204,28 @@ export class Session {
     if (!playback.playing) {
       if (this.#standIn >= 0 || playback.ended || (playback.complete && playback.due >= playback.frameCount - 1)) this.seek(0);
       playback.playing = true;
-      playback.ended = false;
       this.sound.begin();
       this.host.tell("play");
       this.host.wake();
       if (this.#begun) this.host.tell("playing");
     }
     if (this.#begun) return Promise.resolve();
-    return new Promise((begun, refused) => {
-      this.#beginnings.push({ begun, refused });
-    });
+    return this.#beginnings.next();
   }
 
   /** A picture of the keyframe at or before a frame; null where there is none. */
   still(frame: number, camera: PinholeCamera): Promise<ExactPicture | null> {
-    return new Promise((given) => {
-      this.#stillAsked.push(given);
-      this.send({ type: "still", frame, camera });
-    });
+    return this.#ask(this.#stills, { type: "still", frame, camera });
   }
 
   /** The frame in the picture as a .ply of 3D Gaussians. */
   ply(): Promise<Uint8Array<ArrayBuffer>> {
-    return new Promise((given, refused) => {
-      this.#plyAsked.push({ given, refused });
-      this.send({ type: "ply" });
-    });
+    return this.#ask(this.#plys, { type: "ply" });
   }
 
   pause(): void {
     this.waiting = false;
-    this.#refuse("AbortError", "playing was ended before it began");
+    this.#beginnings.refuseAll(new DOMException("playing was ended before it began", "AbortError"));
     if (!this.playback.playing) return;
     this.playback.playing = false;
     this.sound.rest();
@@ -240,7 +252,7 @@ export class Session {
     this.host.loading(false);
     this.#setBusy(false);
     this.warn();
-    this.#refuse("NotSupportedError", message);
+    this.#beginnings.refuseAll(new DOMException(message, "NotSupportedError"));
     this.pause();
     this.host.tell("error");
   }
@@ -275,13 +287,11 @@ export class Session {
         this.#exactlyDrawn(message);
         break;
       case "still":
-        this.#stillAsked.shift()?.(message.picture);
+        this.#stills.answer(message.picture);
         break;
       case "ply":
-        for (const { given, refused } of this.#plyAsked.splice(0, 1)) {
-          if (message.bytes === null) refused(new Error(message.problem));
-          else given(message.bytes);
-        }
+        if (message.bytes === null) this.#plys.refuse(new Error(message.problem));
+        else this.#plys.answer(message.bytes);
         break;
       case "sound":
         this.sound.receive(message);
@@ -362,7 +372,7 @@ export class Session {
       this.host.tell("loadeddata");
       this.host.tell("canplay");
     }
-    if (this.#beginnings.length > 0) this.#begin();
+    if (this.#beginnings.awaited) this.#begin();
     else if (first && this.playback.playing) this.host.tell("playing");
     this.host.tell("timeupdate");
     if (this.#seekLater < 0 && this.#seekRequest >= 0 && message.request >= this.#seekRequest) {
@@ -389,8 +399,8 @@ export class Session {
 
   /** Playing has begun for those who wait for it, once there is something to be seen. */
   #begin(): void {
-    if (!this.#begun || this.#beginnings.length === 0) return;
-    for (const { begun } of this.#beginnings.splice(0)) begun();
+    if (!this.#begun || !this.#beginnings.awaited) return;
+    this.#beginnings.answerAll(undefined);
     this.host.tell("playing");
   }
 
@@ -418,12 +428,26 @@ export class Session {
   #again(): void {
     this.error = null;
     this.warn();
-    if (this.header === null || this.frames.count === 0) this.host.reopen();
-    else this.#request(this.playback.due);
+    if (!this.#lost.aborted && this.frames.count > 0) this.#request(this.playback.due);
+    else {
+      if (this.frames.count > 0) this.start ??= { frame: this.playback.due };
+      this.host.reopen();
+    }
   }
 
-  #refuse(name: string, message: string): void {
-    for (const { refused } of this.#beginnings.splice(0)) refused(new DOMException(message, name));
+  #ask<T>(answers: Answers<T>, question: ToWorker): Promise<T> {
+    if (this.#lost.aborted) return Promise.reject(this.#lost.reason as Error);
+    this.send(question);
+    return answers.next();
+  }
+
+  /** The worker is gone: nothing that it was asked for comes. */
+  #die(message: string): void {
+    this.#connection?.close();
+    this.#connection = null;
+    this.#lose(new Error(message));
+    this.fail(message);
+    this.host.wake();
   }
 
   #late(): void {
@@ -452,13 +476,15 @@ export class Session {
     this.host.busy(on, null);
   }
 
-  #request(frame: number): void {
+  /** `asked`: somebody plays or seeks; otherwise the worker need not read on. */
+  #request(frame: number, asked = true): void {
     this.#requested = frame;
     clearTimeout(this.#lateTimer);
     this.#lateTimer = window.setTimeout(() => {
       this.#late();
     }, LATE_MS);
-    this.send({ type: "show", frame, request: ++this.#requests });
+    if (asked) this.#requests++;
+    this.send({ type: "show", frame, request: this.#requests });
   }
 
   #followSoon(): void {

@@ -49,7 +49,6 @@ export class Stage {
   private count = 0;
   private asked: DepthRow | null = null;
   private serial = 0;
-  private disposed = false;
   private answered = 0;
   /** Orders up to this one were asked for before the scene had a camera. */
   private outdated = 0;
@@ -154,16 +153,11 @@ export class Stage {
     return true;
   }
 
-  /** Whoever waits for a picture waits no longer. */
-  dispose(): void {
-    this.disposed = true;
-  }
-
-  /** A picture of the present view of so many pixels, as PNG. */
-  async capture(width: number, height: number): Promise<Blob> {
+  /** A picture of the present view of so many pixels, as PNG. `lost`: of who sorts, and may draw. */
+  async capture(width: number, height: number, lost: AbortSignal): Promise<Blob> {
     this.look();
     while (!this.ordered || this.answered < this.serial) {
-      if (this.disposed) throw new Error("the player has left the page");
+      lost.throwIfAborted();
       await new Promise((done) => setTimeout(done, 5));
     }
     const { renderer } = this;
@@ -172,8 +166,9 @@ export class Stage {
       await renderer.settled?.();
     } catch (error) {
       if (this.renderer === renderer) throw error;
-      return this.capture(width, height); // another one draws instead
+      return this.capture(width, height, lost); // another one draws instead
     }
+    lost.throwIfAborted();
     const blob = new Promise<Blob | null>((done) => {
       renderer.canvas.toBlob(done, "image/png");
     });

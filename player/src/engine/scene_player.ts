@@ -97,14 +97,14 @@ export class ScenePlayer extends EventTarget {
   }
   set currentFrame(frame: number) {
     if (this.header !== null) this.#session.seek(Math.round(frame));
-    else this.#session.start = { frame: Math.max(0, Math.round(frame)) };
+    else if (Number.isFinite(frame)) this.#session.start = { frame: Math.max(0, Math.round(frame)) };
   }
   get currentTime(): number {
     return this.#session.position / this.fps;
   }
   set currentTime(seconds: number) {
     if (this.header !== null) this.#session.seek(seconds * this.fps);
-    else this.#session.start = { seconds: Math.max(0, seconds) };
+    else if (Number.isFinite(seconds)) this.#session.start = { seconds: Math.max(0, seconds) };
   }
   get loop(): boolean {
     return this.#session.playback.loop;
@@ -138,6 +138,7 @@ export class ScenePlayer extends EventTarget {
 
   /** Resolves once playing has begun; rejects with what is wrong. After an error it tries again. */
   play(): Promise<void> {
+    if (this.paused) this.#lastTime = performance.now(); // what has passed since the last picture does not count
     return this.#session.play();
   }
 
@@ -175,7 +176,7 @@ export class ScenePlayer extends EventTarget {
 
   #open(source: string, follow: boolean): void {
     this.#session.close();
-    this.#session.open(new URL(source, document.baseURI).href, follow, this.#drawing);
+    this.#session.open({ source: new URL(source, document.baseURI).href, follow }, this.#drawing);
   }
 
   /** Time runs by the clock while pictures are drawn. */

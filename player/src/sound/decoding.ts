@@ -17,8 +17,8 @@ export async function decoded(run: Run, channels: number): Promise<Float32Array[
     },
     error: () => undefined, // what is damaged is silence
   });
-  decoder.configure({ codec: "opus", sampleRate: RATE, numberOfChannels: channels });
   try {
+    decoder.configure({ codec: "opus", sampleRate: RATE, numberOfChannels: channels });
     run.blocks.forEach((data, index) => {
       decoder.decode(new EncodedAudioChunk({ type: "key", timestamp: (index * BLOCK * 1e6) / RATE, data }));
     });

@@ -2,8 +2,12 @@
 import type { Pose } from "../geometry/poses";
 import { poseOf } from "../geometry/poses";
 import type { FromWorker, ToWorker } from "../messages";
+import type { Span } from "../player_api";
 import type { StreamHeader } from "../scene";
 import type { Speaker } from "./speaker";
+
+/** So long pictures wait for sound that is about to begin. */
+const PATIENCE_MS = 500;
 
 /** What is known of the pictures when sound is kept in step with them. */
 export interface Place {
@@ -11,6 +15,7 @@ export interface Place {
   readonly frameCount: number;
   readonly rate: number;
   readonly complete: boolean;
+  readonly repeated: Span | null;
 }
 
 export class LateSound {
@@ -18,6 +23,12 @@ export class LateSound {
   private opened: StreamHeader | null = null;
   private level = 1;
   private silent = false;
+  /** Whether playing was asked for before the script was there. */
+  private begun = false;
+  /** Since when pictures wait; null: they do not. */
+  private waitsSince: number | null = null;
+  /** Whether they have waited in vain, and nothing has sounded since. */
+  private inVain = false;
 
   constructor(
     private readonly send: (message: ToWorker) => void,
@@ -40,6 +51,11 @@ export class LateSound {
     this.adjust();
   }
 
+  /** Whether anybody can hear it while it plays. */
+  get audible(): boolean {
+    return this.speaker?.runs === true && !this.silent && this.level > 0;
+  }
+
   open(header: StreamHeader): void {
     if (header.sound.length === 0) return;
     if (!("AudioDecoder" in globalThis)) {
@@ -47,36 +63,40 @@ export class LateSound {
       return;
     }
     this.opened = header;
-    import("./index").then(
-      ({ Speaker }) => {
-        if (this.opened !== header) return;
-        this.speaker = new Speaker(header.sound, header.fps!, (from, to, request) => {
-          this.send({ type: "sound", from, to, request });
-        });
-        this.speaker.hearFrom(poseOf(header.cameras[0]).centre);
-        this.adjust();
-      },
-      (error: unknown) => {
-        this.say(`the stream's sound cannot be played: ${error instanceof Error ? error.message : String(error)}`);
-      },
-    );
+    this.start(header).catch((error: unknown) => {
+      this.opened = null;
+      this.say(`the stream's sound cannot be played: ${error instanceof Error ? error.message : String(error)}`);
+    });
   }
 
   /** Playing is asked for, mostly by a click. */
   begin(): void {
+    this.begun = true;
     this.speaker?.begin();
   }
 
+  /** Seconds that have passed by the clock of the sound: none while it is about to begin; null: there is no sound. */
   elapsed(): number | null {
-    return this.speaker?.elapsed() ?? null;
+    const passed = this.speaker?.elapsed() ?? null;
+    if (passed !== null) {
+      this.waitsSince = null;
+      this.inVain = false;
+      return passed;
+    }
+    const soon = this.speaker === null ? this.opened !== null : this.speaker.starting;
+    const now = performance.now();
+    this.waitsSince = soon ? (this.waitsSince ?? now) : null;
+    this.inVain ||= soon && now - this.waitsSince! > PATIENCE_MS;
+    return soon && !this.inVain ? 0 : null;
   }
 
-  keep({ position, frameCount, rate, complete }: Place): void {
+  keep({ position, frameCount, rate, complete, repeated }: Place): void {
     // A frame's sound is known when the next one has come.
-    this.speaker?.keep(position, complete ? frameCount : frameCount - 1, rate);
+    this.speaker?.keep(position, complete ? frameCount : frameCount - 1, rate, repeated);
   }
 
   rest(): void {
+    this.waitsSince = null;
     this.speaker?.rest();
   }
 
@@ -85,13 +105,26 @@ export class LateSound {
   }
 
   receive({ request, frames }: Extract<FromWorker, { type: "sound" }>): void {
-    void this.speaker?.take(request, frames);
+    this.speaker?.take(request, frames).catch(() => undefined); // a piece that cannot be played is silence
   }
 
   close(): void {
-    this.opened = null;
+    this.opened = this.waitsSince = null;
+    this.begun = this.inVain = false;
     this.speaker?.close();
     this.speaker = null;
+  }
+
+  private async start(header: StreamHeader): Promise<void> {
+    const { Speaker } = await import("./index");
+    if (this.opened !== header) return;
+    const speaker = new Speaker(header.sound, header.fps!, (from, to, request) => {
+      this.send({ type: "sound", from, to, request });
+    });
+    speaker.hearFrom(poseOf(header.cameras[0]).centre);
+    this.speaker = speaker;
+    this.adjust();
+    if (this.begun) speaker.begin();
   }
 
   private adjust(): void {

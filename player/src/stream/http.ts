@@ -28,6 +28,7 @@ export class HttpFeed implements Feed {
     private readonly address: string,
     private grows: boolean,
     private readonly retries: readonly number[] = RETRIES,
+    private readonly credentials: RequestCredentials = "same-origin",
   ) {}
 
   get name(): string {
@@ -158,7 +159,7 @@ export class HttpFeed implements Feed {
     if (this.closed) throw this.broken("the stream is closed");
     let answer: Response;
     try {
-      answer = await fetch(this.address, { ...init, signal, cache: this.grows ? "no-store" : "default" });
+      answer = await fetch(this.address, { ...init, signal, credentials: this.credentials, cache: this.grows ? "no-store" : "default" });
     } catch (error) {
       throw signal.aborted ? signal.reason : this.broken(`${reasonOf(error)} (the network is gone, or the other server forbids it: CORS)`, true, true);
     }

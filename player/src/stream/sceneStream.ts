@@ -27,6 +27,8 @@ export interface StreamOptions {
   readonly signal?: AbortSignal;
   /** Whether what follows a frame is read while it is decoded, without `prefetch`. */
   readonly ahead?: boolean;
+  /** Whether another server gets the cookies that it has set: "include"; those of the page's own come without. */
+  readonly credentials?: RequestCredentials;
   /** Called when more bytes have come, the index was read, or the connection is gone or back. */
   readonly onChange?: () => void;
 }
@@ -71,8 +73,8 @@ export async function createStream(source: StreamSource, options: StreamOptions 
   }
 }
 
-function sourceOf(source: StreamSource, { follow = false }: StreamOptions): ByteSource {
-  if (typeof source === "string" || source instanceof URL) return new CachedSource(new HttpFeed(String(source), follow));
+function sourceOf(source: StreamSource, { follow = false, credentials }: StreamOptions): ByteSource {
+  if (typeof source === "string" || source instanceof URL) return new CachedSource(new HttpFeed(String(source), follow, undefined, credentials));
   if (source instanceof Blob) return new CachedSource(new BlobFeed(source));
   if (source instanceof ArrayBuffer || source instanceof Uint8Array) return new MemorySource(source);
   return source;

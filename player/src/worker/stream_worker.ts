@@ -1,17 +1,18 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { SceneFrame, SceneStream } from "../scene";
-import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type ExactPicture, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
+import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type ExactPicture, type FrameInfo, type FrameTable, type FromWorker, type Opening, type SceneUpdate, type ToWorker } from "../messages";
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
 import { Detail } from "./detail";
 import { DepthSorter } from "./depth_order";
 import type { plyOf } from "../export/ply";
+import type { StreamOptions } from "../stream/sceneStream";
 import type { ExactPictures, LoadKernel } from "./exact_pictures";
 import { PackedScene } from "./packed_scene";
 import { textureLayout } from "./packing";
 
-export type OpenStream = (source: string, options: { readonly follow: boolean; readonly ahead: true; readonly onChange: () => void }) => Promise<SceneStream>;
+export type OpenStream = (source: string, options: StreamOptions) => Promise<SceneStream>;
 type PlyMaker = typeof plyOf;
 export type Send = (message: FromWorker, transfer?: Transferable[]) => void;
 
@@ -41,6 +42,7 @@ export class StreamWorker {
   private busy = false;
   private sortDue = false;
   private follow = false;
+  private sparing = false;
 
   constructor(
     private readonly openStream: OpenStream,
@@ -52,7 +54,7 @@ export class StreamWorker {
     switch (message.type) {
       case "open":
         if (message.first !== null) this.wanted = { frame: message.first, request: 0 };
-        void this.open(message.source, message.follow);
+        void this.open(message);
         return;
       case "show":
         this.wanted = message;
@@ -96,14 +98,15 @@ export class StreamWorker {
     }
   }
 
-  private async open(source: string, follow: boolean): Promise<void> {
+  private async open({ source, follow, sparing = false, credentials }: Opening): Promise<void> {
     try {
       const onChange = (): void => {
         this.tellSoon();
       };
-      const stream = await this.openStream(source, { follow, ahead: true, onChange });
+      const stream = await this.openStream(source, { follow, ahead: !sparing, onChange, ...(credentials && { credentials }) });
       const { header } = stream;
       this.follow = follow;
+      this.sparing = sparing;
       const complete = this.isComplete(stream);
       const layout = textureLayout(header.shDegree);
       this.stream = stream;
@@ -140,7 +143,7 @@ export class StreamWorker {
         const info = infoOf(scene, decoded - begun, packedAt - decoded);
         this.send({ type: "frame", request, info, update, draw }, transfers(draw, update));
         this.tellProgress();
-        void this.prefetch(stream, frame + 1);
+        if (request > 0 || !this.sparing) void this.prefetch(stream, frame + 1);
       } catch (error) {
         if (request === 0 && frame >= stream.frames.length) this.send({ type: "notYet" });
         else if (!this.abort.signal.aborted) this.send({ type: "failed", request, message: sentence(error) });

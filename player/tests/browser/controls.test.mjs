@@ -252,8 +252,7 @@ test("an invitation gives way to the menu, which fades where it goes on", async 
   await until(page, "!player.shadowRoot.querySelector('.notice')?.hidden");
   await page.locator("[name=menu]").click();
   assert.equal(await page.locator(".notice").isVisible(), false);
-  const mask = () => page.evaluate(() => getComputedStyle(document.querySelector("decogs-player").shadowRoot.querySelector(".menu")).maskImage);
-  assert.match(await mask(), /gradient/);
+  await page.waitForFunction(() => getComputedStyle(document.querySelector("decogs-player").shadowRoot.querySelector(".menu")).maskImage.includes("gradient"));
   await page.evaluate(() => document.querySelector("decogs-player").shadowRoot.querySelector(".menu").scrollTo(0, 10_000));
   await page.waitForFunction(() => getComputedStyle(document.querySelector("decogs-player").shadowRoot.querySelector(".menu")).maskImage === "none");
   assert.deepEqual(page.complaints, []);

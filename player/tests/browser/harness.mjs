@@ -7,6 +7,9 @@ import { served } from "./server.mjs";
 export const DATA = process.env.DECOGS_BROWSER_DATA;
 export const listed = () => JSON.parse(readFileSync(join(DATA, "list.json"), "utf8"));
 
+/** Has the element in a page of one's own. */
+export const PLAYER = '<script type="module" src="decogs-player.js"></script>';
+
 export async function started(folders = {}) {
   const server = await served({ page: process.env.DECOGS_PAGE, data: DATA, ...folders });
   const browser = await launched();
@@ -33,6 +36,7 @@ export async function started(folders = {}) {
       const page = await context.newPage();
       page.complaints = [];
       page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
+      page.on("pageerror", (error) => page.complaints.push(String(error)));
       await page.route("**/page/own.html", (route) => route.fulfill({ contentType: "text/html", headers, body: html }));
       await page.goto(`${server.address}/page/own.html`);
       return page;

@@ -1,7 +1,7 @@
 // The element in a page that others wrote: moved about, opened from the disk, in small places.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { picture, psnr, ready, show, started, until } from "./harness.mjs";
+import { PLAYER, picture, psnr, ready, show, started, until } from "./harness.mjs";
 
 let browser;
 before(async () => (browser = await started()));
@@ -64,8 +64,6 @@ test("an element that is moved while it plays goes on, and begins anew with anot
   assert.equal(told[3], 0);
   await page.context().close();
 });
-
-const PLAYER = '<script type="module" src="decogs-player.js"></script>';
 
 test("opened from the disk, or without its script, the page says what to do", async () => {
   const context = await browser.browser.newContext();

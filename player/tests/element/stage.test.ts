@@ -112,3 +112,19 @@ test("where they are fast, none is drawn quickly; at a lower quality all are", (
   stage.step(1000, 0.02, false);
   assert.deepEqual(quickly, [false, true]);
 });
+
+test("a picture to be saved is refused where nobody sorts or draws any more", async () => {
+  const lost = new AbortController();
+  const waiting = stageOf([], []).capture(10, 10, lost.signal);
+  lost.abort(new Error("out of memory"));
+  await assert.rejects(waiting, /out of memory/);
+  const drawn: number[] = [];
+  const stage = stageOf([], drawn);
+  const gone = new AbortController();
+  const order1 = order(1);
+  stage.begin();
+  stage.load(null, order1);
+  Object.assign(stage.renderer, { settled: () => { gone.abort(new Error("it was drawing")); return Promise.resolve(); } });
+  await assert.rejects(stage.capture(10, 10, gone.signal), /it was drawing/);
+  assert.equal(drawn.length, 1);
+});
