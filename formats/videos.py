@@ -121,7 +121,7 @@ class VideoSource:
             with opened_video(self.path) as (container, stream):
                 if begin is not None and not _seek(container, stream, begin):
                     continue
-                for index, frame, damage in self._numbered(container, stream, start):
+                for index, frame, damage in self._numbered(container, stream, start, is_sought=begin is not None):
                     while last is not None and following < index and following in self.dropped:
                         yield last
                         following += 1
@@ -137,13 +137,14 @@ class VideoSource:
                 return
 
     def _numbered(
-        self, container: InputContainer, stream: VideoStream, start: int
+        self, container: InputContainer, stream: VideoStream, start: int, *, is_sought: bool
     ) -> Iterator[tuple[int, VideoFrame, RigError | None]]:
         """Decoded frames with their numbers, -1 before the first, and damage in each or in what it is predicted from.
 
-        ``start``: the number of the frame that is looked for.
+        ``start``: the number of the frame that is looked for. ``is_sought``: not from the beginning on. MPEG-TS also
+        goes to packets that are no keyframes, and decoders of MPEG-4 show them.
         """
-        damage, before = None, -1
+        damage, before = _missing(self.path, start) if is_sought else None, -1
         for position, frame in enumerate(_decoded(self.path, container, stream, passes_errors=self.times is not None)):
             index = position if self.times is None else self._index_of(frame, max(start, before + 1))
             lacks = before >= 0 and not self.dropped.issuperset(range(before + 1, index))

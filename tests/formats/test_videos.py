@@ -392,6 +392,15 @@ def test_frames_that_a_recorder_dropped_repeat_the_one_before(tmp_path: Path) ->
             np.testing.assert_array_equal(picture, expected[place])
 
 
+@pytest.mark.parametrize("start", [8, 16, 23, 31])
+def test_a_seek_that_ends_between_keyframes_shows_no_frame_without_its_reference(tmp_path: Path, start: int) -> None:
+    """MPEG-TS has no list of keyframes, and the decoder of MPEG-4 shows what it cannot know as grey."""
+    write(tmp_path / "a.ts", "mpeg4", frames=36, kind="mpegts", options={"bf": "2", "g": "12", "b": "4M"})
+    source = open_video(tmp_path / "a.ts")
+    frames = list(source.read(0, 36))
+    np.testing.assert_array_equal(list(source.read(start, 36)), frames[start:])
+
+
 def mpeg4_packets(frames: int, b_frames: int) -> list[bytes]:
     coder = av.CodecContext.create("mpeg4", "w")
     coder.width, coder.height, coder.pix_fmt, coder.time_base, coder.framerate = 64, 48, "yuv420p", Fraction(1, 25), 25
