@@ -98,7 +98,7 @@ FULL_RATE = 48_000
 """Samples per second of sound that is heard."""
 _JITTER = 72
 """Samples of `FULL_RATE` by which a time stamp may be off: 1.5 ms, since Matroska rounds to 1."""
-_FORMATS = "aac,ac3,aiff,asf,au,avi,caf,eac3,flac,matroska,mov,mp3,mpeg,mpegts,mxf,ogg,w64,wav"
+_FORMATS = "aac,ac3,aiff,amr,asf,au,avi,caf,dts,eac3,flac,matroska,mov,mp3,mpeg,mpegts,mxf,ogg,tta,w64,wav,wv"
 """FFmpeg's readers of files that hold sound themselves; a list of other files is none."""
 
 

@@ -12,8 +12,8 @@ from ..errors import RigError
 from ..unicode_forms import composed
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, refuse_unknown_kinds
 
-_CAM = "(?i:cam(?:era)?)?"
-"""What may stand right before a camera's name in a file's: aniposelib's tutorial calls camera A's ``...-camA.MOV``."""
+_CAM = "(?i:cam(?:era)?)[ _-]?"
+"""What may stand before a camera's name in a file's: aniposelib's tutorial calls camera A's ``...-camA.MOV``."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def frames_of_cameras(
 
     ``spellings``: for each camera the names that its video or folder may have. Where none of these is there, one that
     holds such a name as a word, or is a word of it, belongs to the camera: ``take1_left.mp4`` and ``take1-camleft.mp4``
-    to ``left``.
+    to ``left``. ``take1_cam2.mp4`` is camera 2's, though 1 is a word of it as well.
     ``may_lack``: cameras without frames are left out with a warning, as are frames without a camera. Raises RigError.
     """
     spellings = {name: [composed(one) for one in spelled] for name, spelled in spellings.items()}
@@ -84,7 +84,8 @@ def usual_folders(folder: Path) -> list[Path]:
 def _entry(camera: str, spelled: Sequence[str], entries: Sequence[Path]) -> Path | None:
     """The one entry of a camera; None without one."""
     exactly = [entry for entry in entries if _name(entry) in spelled]
-    fitting = exactly or [entry for entry in entries if _fits(entry, spelled)]
+    as_camera = [entry for entry in entries if any(_is_word(one, _name(entry), _CAM) for one in spelled)]
+    fitting = exactly or as_camera or [entry for entry in entries if _fits(entry, spelled)]
     if len(fitting) > 1:
         raise RigError(
             f"{fitting[0]}: {fitting[1].name} may hold frames of camera {camera!r}, too; name the right one as the "
@@ -102,7 +103,7 @@ def _check_one_each(of: Mapping[str, Path]) -> None:
 
 
 def _fits(entry: Path, spelled: Sequence[str]) -> bool:
-    return any(_is_word(one, _name(entry), _CAM) or _is_word(_name(entry), one) for one in spelled)
+    return any(_is_word(one, _name(entry), f"(?:{_CAM})?") or _is_word(_name(entry), one) for one in spelled)
 
 
 def _name(entry: Path) -> str:

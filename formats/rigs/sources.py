@@ -241,6 +241,9 @@ def open_pictures(path: Path, files: Iterable[Path]) -> PictureSource:
     files = tuple(files)
     if not files:
         refuse_unknown_kinds([path])
+        videos = [entry.name for entry in list_folder(path) if entry.suffix.lower() in VIDEO_SUFFIXES]
+        if videos:
+            raise RigError(f"{path}: holds {videos[0]}, but no pictures; name the video itself, not its folder")
         raise RigError(f"{path}: no {PICTURE_KINDS} pictures in here; put the camera's frames there")
     kinds = sorted({file.suffix.lower() for file in files})
     if len(kinds) > 1:

@@ -15,6 +15,7 @@ from decogs.formats.chapters import ChapteredVideo, chapters_from, open_recordin
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import in_step, open_recordings, open_rig
 from decogs.formats.rigs.opening import files_of
+from decogs.formats.rigs.sources import open_source
 from decogs.formats.rigs.timeline import RigTime
 from videos_with_sound import write_video
 
@@ -51,6 +52,12 @@ def test_chapters_are_one_recording(names: list[str], tmp_path: Path, make: Any)
         assert [level(picture) for picture in video.read(start, stop, step)] == expected[start:stop:step]
     assert [chapters_from(video, frame)[1] for frame in (3, 4, 7, 11)] == [3, 0, 0, 4]
     assert open_recording(files[1]).frame_count == LENGTHS[1], "a later chapter alone is what it is"
+
+
+def test_a_folder_of_chapters_names_what_to_state(tmp_path: Path, make: Any) -> None:
+    chapters(tmp_path, ["GX010042.MP4", "GX020042.MP4"], make)
+    with pytest.raises(RigError, match=r"holds GX010042\.MP4, but no pictures; name the video itself"):
+        open_source(tmp_path)
 
 
 def test_damage_ends_with_its_chapter(tmp_path: Path, make: Any) -> None:

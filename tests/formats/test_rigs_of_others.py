@@ -332,6 +332,16 @@ def test_cam_may_stand_before_a_camera_s_name(tmp_path: Path, name: str) -> None
     ]
 
 
+def test_a_number_behind_cam_is_the_camera_s(tmp_path: Path) -> None:
+    """And not a take's, which is the name of another camera."""
+    numbers = ["1", "2", "10"]
+    write_aniposelib(tmp_path, cameras("opencv", numbers))
+    for number in numbers:
+        (tmp_path / f"take1_{number}.mp4").rename(tmp_path / f"cam_{number}-take-1.mp4")
+    rig = open_rig(tmp_path)
+    assert [source.path.stem for source in rig.sources] == ["cam_1-take-1", "cam_2-take-1", "cam_10-take-1"]
+
+
 def test_a_camera_whose_file_has_an_unknown_ending_is_not_called_missing(tmp_path: Path) -> None:
     case = CASES[1]
     case.write(tmp_path, case.rig())

@@ -128,14 +128,17 @@ def test_another_language_is_no_microphone(tmp_path: Path) -> None:
     assert not heard(tmp_path / "a.mkv")[0, int(1.1 * 48_000) :].any()
 
 
-@pytest.mark.parametrize(("ending", "codec"), [("ac3", "ac3"), ("eac3", "eac3"), ("wma", "wmav2"), ("au", "pcm_s16be")])
+@pytest.mark.parametrize(
+    ("ending", "codec"),
+    [("ac3", "ac3"), ("eac3", "eac3"), ("wma", "wmav2"), ("au", "pcm_s16be"), ("wv", "wavpack"), ("tta", "tta")],
+)
 def test_files_of_other_programs_are_heard(tmp_path: Path, ending: str, codec: str) -> None:
     samples = np.zeros((1, 96_256), np.float32)
     samples[:, 24_000:24_480] = 0.8 * np.sin(np.arange(480))
     with av.open(str(tmp_path / f"a.{ending}"), "w", format="asf" if ending == "wma" else None) as file:
         track = file.add_stream(codec, rate=48_000, layout="mono")
         track.bit_rate = 128_000
-        given = {"pcm_s16be": "s16"}.get(codec, "fltp")
+        given = {"pcm_s16be": "s16", "tta": "s16"}.get(codec, "fltp")
         data = (samples * 32_767).astype(np.int16) if given == "s16" else samples
         resampler = av.AudioResampler(format=given, layout="mono", rate=48_000, frame_size=track.frame_size or 1024)
         frame = av.AudioFrame.from_ndarray(data, format=given, layout="mono")
