@@ -243,30 +243,40 @@ def _charuco(text: str, columns: int, rows: int, square: float, marker: float, d
 
 
 class BoardFinder:
-    """Finds a board in pictures; remembers which pattern it has and whether its print is inverted: one sight tells.
+    """Finds a board in pictures; remembers which pattern it has and whether its print is inverted.
 
-    ``board``: the one that was seen.
+    ``board``: the one that was seen. One sight tells, as a rule; but the middle of a ChArUco board fits both patterns,
+    with a square between them. Then both are kept, and the first is taken until another shows more corners.
     """
 
     def __init__(self, board: Board) -> None:
         self.board = board
-        self._prints = list(product(board.patterns(), (False, True)))
+        self._prints = [(each, inverted, 0) for each, inverted in product(board.patterns(), (False, True))]
 
     @property
     def is_sure(self) -> bool:
-        """Whether it has seen the board."""
+        """Whether it has seen the board, and nothing else fits."""
         return len(self._prints) == 1
 
     def __call__(self, picture: U8) -> BoardView | None:
         """The board in a picture (H, W, 3); None where fewer than 6 of its corners are found."""
         grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
-        for board, inverted in self._prints:
-            for mirrored in (False, True) if board.is_chiral else (False,):
-                view = _view(board, 255 - grey if inverted else grey, mirrored)
-                if view is not None:
-                    self.board, self._prints = board, [(board, inverted)]
-                    return view
-        return None
+        views = [_either_way(board, 255 - grey if inverted else grey) for board, inverted, _ in self._prints]
+        if self.is_sure:
+            return views[0]
+        counts = [
+            count + (0 if view is None else len(view.numbers))
+            for (*_, count), view in zip(self._prints, views, strict=True)
+        ]
+        best = [k for k, count in enumerate(counts) if count == max(counts)]
+        self._prints = [(*self._prints[k][:2], counts[k]) for k in best]
+        self.board = self._prints[0][0]
+        return views[best[0]]
+
+
+def _either_way(board: Board, grey: U8) -> BoardView | None:
+    ways = (_view(board, grey, mirrored) for mirrored in ((False, True) if board.is_chiral else (False,)))
+    return next((view for view in ways if view is not None), None)
 
 
 def _view(board: Board, grey: U8, mirrored: bool) -> BoardView | None:

@@ -67,6 +67,8 @@ def lenses_by_board(
     while not find.is_sure and len(found) < len(footage):  # the first that sees it tells what print it is
         found.append(looked_at(footage[len(found)]))
         on_step(len(found), len(footage))
+    if find.board != board:
+        found = []  # of which some may be taken for those of the first pattern
     for seen in each(looked_at, footage[len(found) :]):
         found.append(seen)
         on_step(len(found), len(footage))

@@ -53,6 +53,20 @@ def test_a_board_of_opencv_before_4_6_is_found(columns: int, rows: int, inverted
     assert (find(_picture(board=newer, inverted=inverted)) is not None) == (rows % 2 == 1), "one sight tells"
 
 
+def test_the_middle_of_a_board_tells_no_pattern() -> None:
+    """It fits both, a square apart; the first sight of an edge tells, and sights of the whole board are not lost."""
+    older = Charuco(11, 8, 0.05, 0.0375, "DICT_4X4_50", is_legacy=True)
+    whole = _picture(board=older)
+    find = BoardFinder(replace(older, is_legacy=False))
+    assert find(whole[160:760, 260:960]) is not None
+    assert not find.is_sure
+    view = find(whole)
+    assert view is not None
+    assert find.is_sure
+    assert find.board == older
+    assert len(view.numbers) == 70
+
+
 @pytest.mark.parametrize(
     ("shown", "word"),
     [
