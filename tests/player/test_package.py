@@ -272,7 +272,11 @@ def members_of_the_table() -> tuple[set[str], set[str]]:
 
 def test_the_table_of_members_and_events_is_whole() -> None:
     members, events = members_of_the_table()
-    source = (PLAYER / "src/element/player.ts").read_text()
+    source = "".join((PLAYER / f"src/element/{name}.ts").read_text() for name in ("player", "attributes"))
     found = set(re.findall(r"^  (?:get |set |async )?([a-z]\w*)\(", source, re.MULTILINE))
-    assert members == {name for name in found if not name.endswith("Callback")} - {"constructor"}
+    of_elements = {
+        "constructor",
+        *(f"{what}Callback" for what in ("connected", "disconnected", "adopted", "attributeChanged")),
+    }
+    assert members == found - of_elements
     assert events == set(re.findall(r'\| "(\w+)"', (PLAYER / "src/element/events.ts").read_text()))
