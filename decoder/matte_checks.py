@@ -55,9 +55,14 @@ def check_mattes(
     return _check_agreement(places, _agreement(cameras, rig_extent(cameras), alphas), warn)
 
 
+def is_white(alpha: FloatArray) -> bool:
+    """Whether a matte (H, W) leaves nothing out, as where a tool found no subject."""
+    return bool((alpha > _ALL).mean() > _ALL)
+
+
 def _problem(alpha: FloatArray) -> str:
     """Why a matte (H, W) 0..1 is none: white all over, labels of objects, inverted; empty where it may be one."""
-    if (alpha > _ALL).mean() > _ALL:
+    if is_white(alpha):
         return "white all over; white is subject, black is empty"
     if _LEVEL <= alpha.max() <= _MAX_LABEL:
         return f"nowhere brighter than {255 * alpha.max():.0f} of 255, like labels of objects; write white for them"

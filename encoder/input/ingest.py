@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.lens import Undistortion, with_k1
+from decogs.decoder.matte_checks import is_white
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, rig_extent, scale_camera
 from decogs.formats.colour import srgb_from_linear
 from decogs.formats.errors import RigError, UsageError
@@ -193,7 +194,11 @@ class Ingest:
         def cut_out(name: str, picture: Picture, matte: FloatArray | None) -> Cut:
             if name not in lost:
                 try:
-                    return self._mattes.cut(name, picture, matte)
+                    cut = self._mattes.cut(name, picture, matte)
+                    # Of the first frame `check_mattes` says it.
+                    if index != first and cut.alpha is not None and is_white(cut.alpha):
+                        raise RigError(f"camera {name}: its matte is white all over; white is subject, black is empty")
+                    return cut
                 except RigError as error:
                     if name in self._held_names:
                         lost[name] = str(error)

@@ -152,6 +152,19 @@ def a_matte_in_colour(rig: Path, camera: str, frame: int) -> dict[str, Any]:
     return {"masks": folder}
 
 
+def a_white_matte(rig: Path, camera: str, frame: int) -> dict[str, Any]:
+    folder = mattes(rig)
+    cv2.imwrite(str(of(folder, camera, frame)), np.full_like(matte(), 255))
+    return {"masks": folder}
+
+
+def an_opaque_picture(rig: Path, camera: str, frame: int) -> dict[str, Any]:
+    every_picture(rig, lambda picture, file: cv2.imwrite(str(file), np.dstack([picture, matte()])))
+    picture = cv2.imread(str(of(rig, camera, frame)))
+    cv2.imwrite(str(of(rig, camera, frame)), np.dstack([picture, np.full_like(matte(), 255)]))
+    return {}
+
+
 def a_picture_without_alpha(rig: Path, camera: str, frame: int) -> dict[str, Any]:
     plain = of(rig, camera, frame).read_bytes()
     every_picture(rig, lambda picture, file: cv2.imwrite(str(file), np.dstack([picture, matte()])))
@@ -195,6 +208,8 @@ KINDS: dict[Damage, str] = {
     a_truncated_matte: r"masks/cam0[12]/0001\.png: the PNG file is truncated",
     a_missing_matte: "masks/cam0[12]: no matte of this frame",
     a_matte_in_colour: r"masks/cam0[12]/0001\.png: is a picture in colour",
+    a_white_matte: "camera cam0[12]: its matte is white all over",
+    an_opaque_picture: "camera cam0[12]: its matte is white all over",
     a_picture_without_alpha: r"cam0[12]/0001\.png: has no alpha",
     a_covered_screen: "camera cam0[12] shows no screen",
     a_covered_backdrop: "camera cam0[12]: most of its picture differs",
