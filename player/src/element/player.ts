@@ -69,6 +69,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     },
     reopen: () => {
       this.#open();
+      if (this.#deferred) this.#begin(); // who plays has it come
     },
     warn: (text) => {
       this.#late.warn(text);
@@ -465,7 +466,8 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     if (stage === undefined || this.#headset.entered) return;
     this.#session.advance(seconds);
     this.#session.sound.listen(stage.navigation.pose);
-    if (!this.#sight.offScreen) {
+    // play() waits for the kernel's first picture, seen or not.
+    if (!this.#sight.offScreen || (playback.playing && this.#pictures?.awaitsKernel === true)) {
       if (stage.step(now, seconds, playback.playing)) this.#drawn(now);
       this.#pictures?.judge();
     }
@@ -620,6 +622,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
 
   #tell(name: PlayerEvent): void {
     if (name === "play" || name === "seeking") this.#poster.giveWay();
+    if (name === "seeked") this.#frameCallbacks.sought();
     this.dispatchEvent(new Event(name));
     this.#late.panels?.refresh();
   }
