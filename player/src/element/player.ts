@@ -483,8 +483,9 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     this.#frameCallbacks.drawn(info.frame, now, { width, height, fps, costMs: info.decodeMs + info.packMs });
   }
 
+  /** What is no address stays as it was written. */
   get #address(): string {
-    return this.src === "" ? "" : new URL(this.src, document.baseURI).href;
+    return this.src === "" ? "" : (absolute(this.src) ?? this.src);
   }
 
   #open(): void {
@@ -511,6 +512,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
   #begin(): void {
     this.#deferred = false;
     try {
+      if (absolute(this.#source) === null) throw new Error(`${this.#source} is no address`);
       this.#pictures ??= this.#newPictures();
     } catch (error) {
       this.#session.fail(error instanceof Error ? error.message : String(error));
@@ -651,5 +653,14 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
   #waitsToBeSeen(): boolean {
     this.#pausedUnseen ||= this.#unseen;
     return this.#pausedUnseen;
+  }
+}
+
+/** null: it is no address, or it is relative in a page that has none itself. */
+function absolute(address: string): string | null {
+  try {
+    return new URL(address, document.baseURI).href;
+  } catch {
+    return null;
   }
 }
