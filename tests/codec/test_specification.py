@@ -127,6 +127,8 @@ def test_limits_of_the_specification_are_those_of_the_code() -> None:
         "zstd window in bytes": entropy.MAX_WINDOW,
         "corrections block in bytes": 2 * sum(map(len, corrections.EFFECT_FIELDS.values())) * header.MAX_CAMERAS,
         "tracks of sound": sound.MAX_TRACKS,
+        "blocks in a sound packet": sound.MAX_BLOCKS,
+        "sound packets of a frame that are looked at": sound.MAX_PACKETS,
         "log-scale magnitude when decoded": lattice.LOG_SCALE_BOUND,
         "opacity logit magnitude when decoded": lattice.OPACITY_LOGIT_BOUND,
     }

@@ -176,7 +176,7 @@ def test_which_effects_a_frame_called_for_is_replayed(
     """Light goes on in frame 1, and grows faintly: what masks take for a change then depends on it."""
 
     def lit(name: str, frame: int) -> Correction:
-        return Correction(exposure=(0, 1200, 1700, 2200)[frame])
+        return Correction(exposure=(0, 300, 800, 1300)[frame])
 
     rig = tiny_rig.write(tmp_path / "rig", frames=[0] * 4, faults=lit)
     masks = replace(tiny_settings.frame.masks, threshold=14.0, since_trained=True, light_threshold=4.0)

@@ -33,13 +33,6 @@ TOOLS = {
 ENGINES = ("three", "@types/three", "playcanvas")
 """Those that player/ has itself."""
 NO_CHROMIUM = 3
-CALLED_BY_THE_BROWSER = {
-    "constructor",
-    "connectedCallback",
-    "disconnectedCallback",
-    "adoptedCallback",
-    "attributeChangedCallback",
-}
 MOST_FIRST_BYTES = 110_000
 """Of what leads to the first picture and plays, gzipped: player, worker, and their WebAssembly."""
 
@@ -281,5 +274,9 @@ def test_the_table_of_members_and_events_is_whole() -> None:
     members, events = members_of_the_table()
     source = "".join((PLAYER / f"src/element/{name}.ts").read_text() for name in ("player", "attributes"))
     found = set(re.findall(r"^  (?:get |set |async )?([a-z]\w*)\(", source, re.MULTILINE))
-    assert members == {name for name in found if name not in CALLED_BY_THE_BROWSER}
+    of_elements = {
+        "constructor",
+        *(f"{what}Callback" for what in ("connected", "disconnected", "adopted", "attributeChanged")),
+    }
+    assert members == found - of_elements
     assert events == set(re.findall(r'\| "(\w+)"', (PLAYER / "src/element/events.ts").read_text()))
