@@ -21,6 +21,11 @@ export class FrameCallbacks {
     this.#count = 0;
   }
 
+  /** What was sought is drawn next, and counts, though it be the same frame. */
+  sought(): void {
+    this.#presented = -1;
+  }
+
   /** A picture was drawn, which shows this frame. What a callback asks for is of the next frame. */
   drawn(frame: number, now: number, { width, height, fps, costMs }: { readonly width: number; readonly height: number; readonly fps: number; readonly costMs: number }): void {
     if (frame === this.#presented) return;

@@ -69,6 +69,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     },
     reopen: () => {
       this.#open();
+      if (this.#deferred) this.#begin(); // who plays has it come
     },
     warn: (text) => {
       this.#late.warn(text);
@@ -465,7 +466,8 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     if (stage === undefined || this.#headset.entered) return;
     this.#session.advance(seconds);
     this.#session.sound.listen(stage.navigation.pose);
-    if (!this.#sight.offScreen) {
+    // play() waits for the kernel's first picture, seen or not.
+    if (!this.#sight.offScreen || (playback.playing && this.#pictures?.awaitsKernel === true)) {
       if (stage.step(now, seconds, playback.playing)) this.#drawn(now);
       this.#pictures?.judge();
     }
@@ -481,8 +483,9 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
     this.#frameCallbacks.drawn(info.frame, now, { width, height, fps, costMs: info.decodeMs + info.packMs });
   }
 
+  /** What is no address stays as it was written. */
   get #address(): string {
-    return this.src === "" ? "" : new URL(this.src, document.baseURI).href;
+    return this.src === "" ? "" : (absolute(this.src) ?? this.src);
   }
 
   #open(): void {
@@ -509,6 +512,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
   #begin(): void {
     this.#deferred = false;
     try {
+      if (absolute(this.#source) === null) throw new Error(`${this.#source} is no address`);
       this.#pictures ??= this.#newPictures();
     } catch (error) {
       this.#session.fail(error instanceof Error ? error.message : String(error));
@@ -620,6 +624,7 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
 
   #tell(name: PlayerEvent): void {
     if (name === "play" || name === "seeking") this.#poster.giveWay();
+    if (name === "seeked") this.#frameCallbacks.sought();
     this.dispatchEvent(new Event(name));
     this.#late.panels?.refresh();
   }
@@ -648,5 +653,14 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
   #waitsToBeSeen(): boolean {
     this.#pausedUnseen ||= this.#unseen;
     return this.#pausedUnseen;
+  }
+}
+
+/** null: it is no address, or it is relative in a page that has none itself. */
+function absolute(address: string): string | null {
+  try {
+    return new URL(address, document.baseURI).href;
+  } catch {
+    return null;
   }
 }

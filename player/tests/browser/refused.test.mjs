@@ -88,6 +88,17 @@ test("in a sandboxed frame whose server lets nobody in, the page names the frame
   await page.context().close();
 });
 
+test("what is no address is an error, until another one is set", async () => {
+  const page = await browser.own('<script type="module" src="decogs-player.js"></script><decogs-player exact="off" src="http://:none"></decogs-player>');
+  await until(page, "player?.error != null");
+  assert.deepEqual(await refusal(page), { outcome: ["NotSupportedError", "http://:none is no address"], error: "http://:none is no address" });
+  await page.evaluate(() => (document.querySelector("decogs-player").src = "/data/long.dgs"));
+  await ready(page);
+  assert.deepEqual(await refusal(page), { outcome: "plays", error: null });
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
 /** The page as it is where WebGL2 is software, without the kernel. */
 async function withoutKernel({ webgl }) {
   const context = await browser.browser.newContext({ viewport: { width: 200, height: 150 } });

@@ -100,6 +100,13 @@ test("nothing of a stream is read before somebody plays it, where the page wants
   await later.evaluate(() => (document.querySelector("decogs-player").preload = "auto"));
   await ready(later);
   await later.context().close();
+  const missing = await browser.own(element('src="/data/none.dgs" preload="none"'));
+  await until(missing, "player?.play");
+  for (const time of ["once", "again"]) {
+    const refused = await missing.evaluate(() => document.querySelector("decogs-player").play().then(() => "plays", ({ name }) => name));
+    assert.equal(refused, "NotSupportedError", time);
+  }
+  await missing.context().close();
 });
 
 test("of a stream whose first picture alone is wanted, no more is read", async () => {
@@ -150,7 +157,12 @@ test("callbacks of frames are called with each frame that comes into the picture
     await player.play();
     while (times.length < before + 5) await new Promise((done) => setTimeout(done, 20));
     player.pause();
-    return [before, times.slice(before)];
+    const told = times.slice(before);
+    await new Promise((done) => setTimeout(done, 400));
+    const same = times.length;
+    player.currentFrame = player.info.frame;
+    while (times.length === same) await new Promise((done) => setTimeout(done, 20));
+    return [before, told];
   });
   assert.equal(told[0], 0);
   for (const [mediaTime, frame, width, height, , now] of told[1]) {
@@ -196,6 +208,14 @@ test("a player far down the page begins by itself when it comes into sight", asy
   assert.deepEqual(await page.evaluate(() => { const { paused, currentTime } = document.querySelector("decogs-player"); return [paused, currentTime]; }), [true, 0]);
   await page.evaluate(() => document.querySelector("decogs-player").scrollIntoView());
   await until(page, "!player.paused && player.currentTime > 0.1");
+  await page.context().close();
+});
+
+test("where the kernel draws, playing begins out of sight, too", async () => {
+  const page = await browser.own(`<div style="height: 2000px"></div>${element('src="/data/long.dgs"').replace('exact="off"', "exact")}`);
+  await ready(page);
+  await page.evaluate(() => document.querySelector("decogs-player").play());
+  await until(page, "player.currentTime > 0.1");
   await page.context().close();
 });
 

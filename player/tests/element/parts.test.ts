@@ -184,9 +184,13 @@ test("a callback is called once, with the next frame that comes into the picture
   of.drawn(62, 1066, shown);
   of.drawn(30, 1100, shown);
   assert.deepEqual(times, [62 / 30, 1]);
+  of.sought();
+  of.drawn(30, 1150, shown);
+  of.drawn(30, 1166, shown);
+  assert.equal(times.length, 3, "the same frame, where it was sought");
   of.begin();
   of.drawn(30, 1200, shown);
-  assert.equal(times.length, 3, "another stream's frame of that number");
+  assert.equal(times.length, 4, "another stream's frame of that number");
 });
 
 test("a callback that was taken back is not called, even by one before it; one that fails stops no other", () => {

@@ -25,9 +25,15 @@ class Opened {
   /** What was drawn, in order. */
   readonly drawn: string[] = [];
   readonly session: Session;
-  private readonly drawing: Drawing = {
+  /** Whether WebGL2 takes the place of a kernel that does not draw. */
+  webgl = false;
+  readonly drawing: Drawing & { awaitsKernel: boolean; exact: boolean } = {
     begin: () => this.drawn.push("stream"),
-    exactlyDrawn: ({ picture }) => this.exactlyDrawn.push(picture),
+    exactlyDrawn: ({ picture }) => {
+      this.exactlyDrawn.push(picture);
+      if (picture !== null) this.drawing.awaitsKernel = false;
+      else if (this.webgl) this.drawing.exact = this.drawing.awaitsKernel = false;
+    },
     awaitsKernel: false,
     exact: true,
     stage: { begin: () => this.drawn.push("begin"), load: () => this.drawn.push("load"), order: () => this.drawn.push("order") },
@@ -124,6 +130,9 @@ test("playing begins with the first picture, which the promise waits for", async
   of.run(4);
   assert.equal(of.session.playback.due, 3);
   assert.equal(await outcome(of.session.play()), "resolved");
+  of.session.pause();
+  void of.session.play();
+  assert.deepEqual(of.events.slice(-3), ["pause", "play", "playing"]);
 });
 
 test("what had passed before playing began does not count: the first frame is seen, and heard", () => {
@@ -207,6 +216,11 @@ test("playing from the last frame begins anew, one before it does not", () => {
   of.show(2);
   void of.session.play();
   assert.equal(of.session.position, 0);
+  const grows = ready({ frames: 3, complete: false });
+  grows.session.seek(2);
+  grows.show(2);
+  void grows.session.play();
+  assert.equal(grows.session.position, 2, "the last frame so far");
 });
 
 for (const [what, act, says] of [
@@ -351,6 +365,8 @@ test("a frame that is not known yet is waited for, and gone to when it comes", (
   assert.equal(of.asked().at(-1), 20);
   of.show(20);
   assert.ok(of.events.includes("seeked"));
+  of.session.seek(21);
+  assert.equal(of.session.position, 21, "the next one");
 });
 
 test("where the stream ends before it, the last frame is gone to", () => {
@@ -434,6 +450,56 @@ test("what is to be drawn reaches the pictures in the order in which it comes, a
   ({ wakes } = of);
   of.worker.die();
   assert.ok(of.wakes > wakes);
+});
+
+const exactly = (problem: string | null): Extract<FromWorker, { type: "exact" }> =>
+  ({ type: "exact", picture: problem === null ? { width: 1, height: 1, pixels: new Uint8ClampedArray(4), drawMs: 1 } : null, problem, kernel: problem === null });
+
+test("where the kernel draws, playing begins with its first picture", async () => {
+  const of = ready();
+  of.drawing.awaitsKernel = true;
+  const played = of.session.play();
+  of.show(0);
+  assert.equal(await outcome(played), "pending");
+  of.worker.say(exactly(null));
+  assert.equal(await outcome(played), "resolved");
+  assert.equal(of.events.filter((name) => name === "playing").length, 1);
+});
+
+test("where WebGL2 draws instead of the kernel, playing begins, and that is said until the kernel draws", async () => {
+  const of = ready();
+  of.drawing.awaitsKernel = of.webgl = true;
+  const played = of.session.play();
+  of.worker.say(exactly("it is missing"));
+  assert.equal(await outcome(played), "resolved");
+  assert.deepEqual([of.warnings.at(-1), of.session.error], ["WebGL2 draws: it is missing", null]);
+  of.worker.say(exactly("it is missing still"));
+  assert.equal(of.warnings.at(-1), "WebGL2 draws: it is missing", "nobody wants the kernel's any more");
+  of.drawing.exact = true;
+  of.worker.say(exactly(null));
+  assert.equal(of.warnings.at(-1), null);
+});
+
+test("where neither draws, that is the error", async () => {
+  const of = ready();
+  of.drawing.awaitsKernel = true;
+  const played = of.session.play();
+  of.worker.say(exactly("it is missing"));
+  assert.equal(await outcome(played), "NotSupportedError: it is missing");
+  assert.equal(of.session.error, "it is missing");
+});
+
+test("where no worker can be started, that is the error", async () => {
+  const { Worker } = globalThis;
+  globalThis.Worker = function () { throw new Error("worker-src 'none'"); } as unknown as typeof Worker;
+  try {
+    const of = new Opened();
+    of.open(); // one more than the worker that waits for the first stream
+    assert.match(of.session.error!, /^the player's worker cannot be started: worker-src 'none'/);
+    assert.match(await outcome(of.session.ply()), /worker cannot be started/);
+  } finally {
+    globalThis.Worker = Worker;
+  }
 });
 
 test("the stream's sound is opened with it, and what the worker gives of it is played", () => {
@@ -564,6 +630,10 @@ test("a file that grows is looked at every second, until it is whole", () => {
   const other = ready({ complete: false });
   mock.timers.tick(5000);
   assert.equal(other.worker.asked("refresh").length, 0, "nobody asked to follow it");
+  const left = ready({ follow: true, complete: false });
+  left.open();
+  mock.timers.tick(1000);
+  assert.equal(left.worker.asked("refresh").length, 0, "another stream is open");
 });
 
 test("an error pauses, is told, and is tried again by whoever plays", async () => {

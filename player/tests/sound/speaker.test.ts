@@ -258,6 +258,11 @@ test("a loop that is given up, or another one, is not heard on", async () => {
   const { position: then } = await early.play(10, 0);
   await early.play(10, then, { repeated: [0, 200] });
   assert.ok(early.context.sources.every(({ stopped }) => stopped === Infinity), "nothing of it was asked for yet");
+  const whole = new Heard();
+  const { position: after } = await whole.play(3, 0, { repeated: [0, 39] });
+  assert.equal(whole.asked.at(-1)![1], 39);
+  await whole.play(10, after);
+  assert.ok(whole.context.sources.every(({ stopped }) => stopped === Infinity), "what was asked for is the pass that is played");
   const other = new Heard();
   const { position: middle } = await other.play(10, 0);
   await other.play(300, middle, { repeated: [0, 50] });
