@@ -45,10 +45,12 @@ def mattes_of_recording(
     An empty path stands where there is none. Raises RigError for files that fit no frames, or two ways.
     """
     recorded = [clock.recorded_index(RigIndex(frame)) for frame in range(count)]
+    by_numbers = list(_by_numbers(files, recording, recorded))
+    alone = range(0) if by_numbers else frames  # numbers of its pictures are no sign of counting from 0
     readings = list(_by_names(files, recording, recorded)) or [
-        *_by_numbers(files, recording, recorded),
-        *_counted("count from 0 at the rig's first frame", files, count, range(count), frames),
-        *_counted("count from 0 at the recording's first frame", files, recording.frame_count, recorded, frames),
+        *by_numbers,
+        *_counted("count from 0 at the rig's first frame", files, count, range(count), alone),
+        *_counted("count from 0 at the recording's first frame", files, recording.frame_count, recorded, alone),
         *_in_order("are taken in order", files, count, range(count)),
         *_in_order("are taken in order", files, recording.frame_count, recorded),
     ]
@@ -92,16 +94,16 @@ def _belong(given: Sequence[object], own: Sequence[object]) -> bool:
 
 
 def _counted(
-    words: str, files: Sequence[Path], most: int | None, wanted: Sequence[int], frames: range
+    words: str, files: Sequence[Path], most: int | None, wanted: Sequence[int], alone: range
 ) -> Iterator[_Reading]:
     """Numbers that count from 0 to below ``most``; ``wanted``: the number of each frame.
 
-    0 is there, or these ``frames`` and no others are: else they may count from 1 as well.
+    0 is there, or the frames ``alone`` and no others are: else they may count from 1 as well.
     """
     numbers = _numbers(files)
     if numbers and all(len(number) == 1 and (most is None or number[0] < most) for number in numbers):
         given = {number[0]: file for number, file in zip(numbers, files, strict=True)}
-        if 0 not in given and set(given) != {wanted[frame] for frame in frames}:
+        if 0 not in given and set(given) != {wanted[frame] for frame in alone}:
             return
         at = {frame: given[number] for frame, number in enumerate(wanted) if number in given}
         yield _Reading(words, at, len(files) == most)

@@ -62,7 +62,7 @@ def numbers_of(
         (None, FROM_1, range(10), list(range(1, 11))),
         (None, [2, 3, 4], range(2, 5), [2, 3, 4]),
         (FROM_1, range(1, 7), range(1, 5), [2, 3, 4, 5]),
-        (FROM_1, [1, 2, 3, 4], range(1, 5), [1, 2, 3, 4]),  # those of the frames that are encoded, from 0
+        (range(20, 30), [1, 2, 3, 4], range(1, 5), [1, 2, 3, 4]),  # those of the frames that are encoded, from 0
     ],
 )
 def test_numbers_tell_the_frame(
@@ -86,6 +86,7 @@ def test_numbers_tell_the_frame(
         (FROM_1, range(11), range(10), "fit neither"),  # one too many, at which end?
         (FROM_0, [], range(10), "no matte of frame 0"),
         (None, range(1, 7), range(1, 5), "fit neither"),  # from 0 or from 1?
+        (FROM_1, [1, 2, 3, 4], range(1, 5), "no matte of frame 4"),  # numbers of pictures, or from 0?
     ],
 )
 def test_what_is_not_sure_is_refused(
