@@ -55,6 +55,8 @@ _MIN_CAMERA_POINTS = 20
 """Least points that a determined camera shares with others."""
 _MIN_GAIN_ERRORS = 3.0
 """Least gain of a mismatched camera, in standard errors: matches across 20 degrees scatter by .15."""
+_MIN_PAIR_POINTS = 5
+"""Points of which a median stands for a pair of cameras."""
 _GRID_ROWS = 24
 """Rows and columns of the grid of pixels that stands for a whole picture."""
 _MIN_OVERALL_SHARE = 0.5
@@ -191,14 +193,15 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
 def mismatch(points: SharedPoints, lights: Sequence[F64]) -> Mismatch:
     """How the cameras' light differs at the points that they share, in the first frame.
 
-    ``lights``: of each, `light_at` its `SharedPoints.pixels_of`. Unless one camera's gain is beyond what the scatter of
-    its points explains, nobody's counts.
+    ``lights``: of each, `light_at` its `SharedPoints.pixels_of`. A gain counts that is beyond what the scatter of the
+    camera's points, and that of pairs of cameras, explains.
     """
     differences = _differences(points, [light[:1] for light in lights])[0]
     known = np.isfinite(differences).all(axis=1)
-    gains, shares, errors = _solved(points.first[known], points.second[known], differences[known], len(lights))
-    is_sure = (np.abs(shares) >= np.maximum(EXPOSURE_LIMIT, _MIN_GAIN_ERRORS * errors)).any()
-    return Mismatch(gains, shares if is_sure else 0 * shares)
+    first, second, differences = points.first[known], points.second[known], differences[known]
+    gains, shares, errors = _solved(first, second, differences, len(lights))
+    errors = np.maximum(errors, _pair_errors(first, second, differences - gains[first] + gains[second], len(lights)))
+    return Mismatch(gains, np.where(np.abs(shares) < _MIN_GAIN_ERRORS * errors, 0.0, shares))
 
 
 def _seen_overall(shares: F64, overall: F64) -> F64:
@@ -270,6 +273,25 @@ def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F6
             deviation = 1.48 * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
             errors[camera] = 1.25 * deviation / math.sqrt(len(own))
     return gains, shares, errors
+
+
+def _pair_errors(first: I64, second: I64, left: F64, cameras: int) -> F64:
+    """Standard errors (cameras, 3) of gains, from what they leave of the points' differences, ``left`` (N, 3).
+
+    Shading that depends on the view, and misplacement, are shared by the points of a pair of cameras: each pair is one
+    observation. 0 where no pair is more than the gains need.
+    """
+    pairs, inverse, counts = np.unique(first * cameras + second, return_inverse=True, return_counts=True)
+    kept = np.flatnonzero(counts >= _MIN_PAIR_POINTS)
+    one, two = np.divmod(pairs[kept], cameras)
+    signs = np.eye(cameras)[one] - np.eye(cameras)[two]
+    spare = len(kept) - np.linalg.matrix_rank(signs) if len(kept) else 0
+    if not spare:
+        return np.zeros((cameras, 3))
+    medians = np.stack([np.median(left[inverse == pair], axis=0) for pair in kept])
+    weighted = signs.T * counts[kept]
+    fit = np.linalg.pinv(weighted @ signs) @ weighted
+    return np.asarray(np.sqrt((fit**2).sum(axis=1)[:, None] * (medians**2).sum(axis=0) / spare))
 
 
 def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:

@@ -15,6 +15,7 @@ from decogs.encoder.analysis.light import (
     SharedPoints,
     light_at,
     light_overall,
+    mismatch,
     own_light,
 )
 
@@ -188,3 +189,44 @@ def test_a_camera_whose_picture_never_changes_has_no_gain_among_those_that_drift
     """Most grow brighter, so that against their median, some 1.1, the steady one grows darker."""
     found = seen(1.0, 1.1, 1.12, 1.2, 0.9, 1.25, 1.07)
     np.testing.assert_array_equal(found.drifts, [False, False, False, True, True, True, False])
+
+
+def told_apart(gains: Sequence[float], *, spread: float, seed: int) -> np.ndarray:
+    """Shares (cameras,) of exposure that are found where each pair of cameras differs by ``spread``, and its points
+    by .02 more."""
+    rng = np.random.default_rng(seed)
+    points, _ = points_of(len(gains))
+    pairs, number = np.unique(points.first * len(gains) + points.second, return_inverse=True)
+    seen_by_first = rng.normal(0, spread, len(pairs))[number] + rng.normal(0, 0.02, len(number))
+    lights = []
+    for camera, gain in enumerate(gains):
+        own = np.concatenate([seen_by_first[points.first == camera], np.zeros((points.second == camera).sum())])
+        lights.append(np.repeat((own + gain)[None, :, None], 3, axis=2) * [1, 0, 0])
+    return np.asarray(mismatch(points, lights).shares[:, 0])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_pairs_of_cameras_differ_by_is_no_mismatch(seed: int) -> None:
+    """Shading that depends on the view is shared by a pair's points: hundreds of them are two to four observations."""
+    assert np.abs(told_apart([0.0] * 8, spread=0.06, seed=seed)).max() < EXPOSURE_LIMIT
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_mismatched_camera_is_found_among_pairs_that_differ_a_little(seed: int) -> None:
+    found = told_apart([0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0], spread=0.01, seed=seed)
+    assert np.flatnonzero(np.abs(found) >= EXPOSURE_LIMIT).tolist() == [3]
+
+
+def test_a_mismatch_that_is_sure_makes_no_other_sure() -> None:
+    """Gloss of a few surfaces, that points of one camera scatter by, beside a camera of another exposure."""
+    points, _ = points_of(6)
+    rng = np.random.default_rng(0)
+    few = np.isin(np.arange(len(points.first)) % 99, range(12))
+    points = SharedPoints(points.first[few], points.second[few], points.first_pixels[few], points.second_pixels[few])
+    lights = []
+    for camera in range(6):
+        count = ((points.first == camera) | (points.second == camera)).sum()
+        scatter = np.abs(rng.normal(0, 0.3, count)) if camera == 2 else np.zeros(count)
+        lights.append(np.repeat((scatter + 0.5 * (camera == 4))[None, :, None], 3, axis=2) * [1, 0, 0])
+    shares = mismatch(points, lights).shares[:, 0]
+    assert np.flatnonzero(np.abs(shares) >= EXPOSURE_LIMIT).tolist() == [4]
