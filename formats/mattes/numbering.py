@@ -51,8 +51,8 @@ def mattes_of_recording(
         *by_numbers,
         *_counted("count from 0 at the rig's first frame", files, count, range(count), alone),
         *_counted("count from 0 at the recording's first frame", files, recording.frame_count, recorded, alone),
-        *_in_order("are taken in order", files, count, range(count)),
-        *_in_order("are taken in order", files, recording.frame_count, recorded),
+        *_in_order(files, count, range(count)),
+        *_in_order(files, recording.frame_count, recorded),
     ]
     return _chosen(folder, files, readings, count, frames, may_lack=True)
 
@@ -66,7 +66,7 @@ def mattes_of_stream(folder: Path, files: Sequence[Path], first: int, count: int
     readings = [
         *_counted("count from 0 at the rig's first frame", files, None, of_rig, frames),
         *_counted("count from 0 at the stream's first frame", files, count, range(count), frames),
-        *_in_order("are taken in order", files, count, range(count)),
+        *_in_order(files, count, range(count)),
     ]
     return _chosen(folder, files, readings, count, frames)
 
@@ -109,12 +109,12 @@ def _counted(
         yield _Reading(words, at, len(files) == most)
 
 
-def _in_order(words: str, files: Sequence[Path], count: int, wanted: Sequence[int]) -> Iterator[_Reading]:
+def _in_order(files: Sequence[Path], count: int, wanted: Sequence[int]) -> Iterator[_Reading]:
     """As many as ``count`` frames, without a gap in their numbers; ``wanted``: the place of each frame's."""
     numbers = _numbers(files)
     steps = {_step(*pair) for pair in zip(numbers or (), (numbers or ())[1:], strict=False)}
     if len(files) == count and len(steps) <= 1:
-        yield _Reading(words, {frame: files[index] for frame, index in enumerate(wanted)}, is_whole=True)
+        yield _Reading("are taken in order", {frame: files[index] for frame, index in enumerate(wanted)}, is_whole=True)
 
 
 def _step(one: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
