@@ -30,7 +30,7 @@ USER_VENV := .venv-user
 USER_BIN := $(USER_VENV)/bin
 USER_READY := $(USER_VENV)/ready
 INSTALLS := pyproject.toml setup.py constraints.txt
-KERNEL_SOURCES := $(wildcard formats/kernel/* decoder/rasterise/kernel/* encoder/*/kernel/* encoder/*/*/kernel/*)
+KERNEL_SOURCES := $(wildcard formats/*/kernel/* decoder/rasterise/kernel/* encoder/*/kernel/* encoder/*/*/kernel/*)
 
 # Blender as a Python module: 4.2 to 5.0 fit Python 3.11, 5.1 and 5.2 fit 3.13.
 BLENDER ?= 4.5.15

@@ -11,9 +11,9 @@ from statistics import fmean, median
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.views import render_view
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder.psnr import psnr_of
 from decogs.formats.splats import Splats
 

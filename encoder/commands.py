@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from decogs.formats.command_line import (
+from decogs.formats.cli.command_line import (
     Parser,
     counted,
     frame_rate,
@@ -27,8 +27,8 @@ from decogs.formats.command_line import (
     whole_number,
 )
 from decogs.formats.errors import DecogsError, UsageError
-from decogs.formats.frame_ranges import frame_range
-from decogs.formats.unicode_forms import composed
+from decogs.formats.files.unicode_forms import composed
+from decogs.formats.frames.ranges import frame_range
 
 from .input.mattes.options import add_matte_options, matte_choice
 from .output.reports import frames_text
@@ -261,7 +261,7 @@ def pack_main(arguments: Sequence[str] | None = None) -> int:
 
 def pack_parser() -> Parser:
     """The options of ``decogs-pack``."""
-    from decogs.decoder.limits import DEFAULT_MAX_MEMORY
+    from decogs.decoder.reading.limits import DEFAULT_MAX_MEMORY
 
     parser = Parser(
         prog="decogs-pack",

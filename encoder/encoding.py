@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from decogs.formats.callbacks import OnWarning
-from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.outputs import JSON, STREAM, Output, check_outputs, files_read
+from decogs.formats.files.outputs import JSON, STREAM, Output, check_outputs, files_read
 from decogs.formats.rigs import Rig, files_of, open_rig, stop_waiting, without_cameras
-from decogs.formats.threads import thread_count
+from decogs.formats.stream.container import MAX_FRAME
+from decogs.formats.system.callbacks import OnWarning
+from decogs.formats.system.threads import thread_count
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse

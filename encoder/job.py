@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import BinaryIO
 
-from decogs.formats.frame_ranges import Frames
+from decogs.formats.frames.ranges import Frames
 from decogs.formats.rigs import Rig
 
 from .analysis import EffectChoice

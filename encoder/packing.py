@@ -15,21 +15,21 @@ from typing import BinaryIO, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import Lattice, Vector, default_lattice, quantise, robust_extent
-from decogs.codec.morton import morton_order
-from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
-from decogs.decoder.limits import DEFAULT_MAX_MEMORY
-from decogs.formats.callbacks import OnProgress, OnWarning
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.scene.lattice import Lattice, Vector, default_lattice, quantise, robust_extent
+from decogs.codec.scene.morton import morton_order
+from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS
+from decogs.decoder.reading.limits import DEFAULT_MAX_MEMORY
 from decogs.formats.cameras import Camera
-from decogs.formats.container import MAX_FRAME, Packet
 from decogs.formats.errors import StreamError, TrainingError, UsageError
-from decogs.formats.frame_names import numbered_files
-from decogs.formats.outputs import STREAM, Output, check_outputs
+from decogs.formats.files.outputs import STREAM, Output, check_outputs
+from decogs.formats.frames.names import numbered_files
 from decogs.formats.splat_files import Room
 from decogs.formats.splat_files.reading import SplatFile, read_splats
 from decogs.formats.splats import FloatArray, Splats, take_splats
+from decogs.formats.stream.container import MAX_FRAME, Packet
+from decogs.formats.system.callbacks import OnProgress, OnWarning
 
 from .coding.packets import frame_packet, key_packet
 from .coding.scene import Scene
@@ -76,7 +76,7 @@ def pack(
 ) -> PackReport:
     """Codes .ply or .spz files, one a frame, as a .dgs stream.
 
-    ``files``: their name, with a place for the frame's number (`decogs.formats.frame_names`). Rows of files with the
+    ``files``: their name, with a place for the frame's number (`decogs.formats.frames.names`). Rows of files with the
     same number of Gaussians are the same Gaussian, unless they jump about; else they are matched by position.
     ``quality``: 0 to 100, of the lattice: 25 less double its steps. ``lossless``: every change is coded, exact to the
     lattice of quality 100. ``segment``: frames from one keyframe to the next, 0 for a single one. One frame is in

@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 
 import cv2
 
-from decogs.formats.threads import processor_count
+from decogs.formats.system.threads import processor_count
 
 R = TypeVar("R")
 

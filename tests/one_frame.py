@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from decogs.codec.state import MAX_GAUSSIANS
+from decogs.codec.scene.state import MAX_GAUSSIANS
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import FrameMask

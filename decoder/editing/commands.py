@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from decogs.formats.command_line import (
+from decogs.formats.cli.command_line import (
     Parser,
     counted,
     number_of_bytes,
@@ -20,7 +20,7 @@ from decogs.formats.command_line import (
 from decogs.formats.errors import UsageError
 
 from ..commands import whole_file
-from ..limits import DEFAULT_MAX_MEMORY
+from ..reading.limits import DEFAULT_MAX_MEMORY
 from .operations import OPERATIONS
 
 

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.sound import RATE, frame_start
-from decogs.formats.callbacks import OnProgress, OnWarning
+from decogs.codec.packets.sound import RATE, frame_start
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames
-from decogs.formats.outputs import Output, check_outputs, errors_named, files_read, staged_files
+from decogs.formats.files.outputs import Output, check_outputs, errors_named, files_read, staged_files
+from decogs.formats.frames.ranges import Frames
+from decogs.formats.system.callbacks import OnProgress, OnWarning
 
-from ..frame_choice import open_chosen
-from ..limits import DEFAULT_MAX_MEMORY
+from ..reading.frame_choice import open_chosen
+from ..reading.limits import DEFAULT_MAX_MEMORY
 from .samples import heard_in
 
 _LARGEST = (1 << 32) - 64

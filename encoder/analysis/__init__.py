@@ -11,7 +11,7 @@ frame, in the encoder's loop (``enabled.py``). An effect that a decoder has to k
 
 from typing import TYPE_CHECKING
 
-from decogs.formats.lazy_names import lazy_names
+from decogs.formats.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from ..settings.effects import (

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from decogs.formats.callbacks import OnProgress
-from decogs.formats.frame_ranges import Frames
+from decogs.formats.frames.ranges import Frames
 from decogs.formats.rigs import Rig, open_rig
-from decogs.formats.threads import thread_count
+from decogs.formats.system.callbacks import OnProgress
+from decogs.formats.system.threads import thread_count
 
 from ..input.ingest import frame_span
 from ..parallel import side_by_side

@@ -7,10 +7,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
+from decogs.formats.cli.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import frame_range
-from decogs.formats.outputs import (
+from decogs.formats.files.outputs import (
     JSON,
     Output,
     check_folder_name,
@@ -19,7 +18,8 @@ from decogs.formats.outputs import (
     is_device,
     write_whole,
 )
-from decogs.formats.unicode_forms import composed
+from decogs.formats.files.unicode_forms import composed
+from decogs.formats.frames.ranges import frame_range
 
 from ..input.mattes.options import add_matte_options, matte_choice
 from ..synchronisation.commands import add_sync_option, rig_in_step

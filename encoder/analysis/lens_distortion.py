@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import distort_pixels
+from decogs.decoder.cameras.lens import distort_pixels
 from decogs.formats.cameras import Camera, camera_centre, is_distorted
 
 from ..change.masks import BoolArray

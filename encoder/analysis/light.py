@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, project
-from decogs.formats.colour import linear_from_srgb
+from decogs.formats.colours.srgb import linear_from_srgb
 
 from ..keyframe.backdrop.stage import PlainStage
 from .matches import NEAR_LINE_PIXELS, Matches, PairMatches

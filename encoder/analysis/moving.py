@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import undistort_pixels
+from decogs.decoder.cameras.lens import undistort_pixels
 from decogs.formats.cameras import Camera
 
 from ..numerics import tukey

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.pictures import Picture
+from decogs.formats.pictures.reading import Picture
 
 from ..input.dropouts import blankness
 from ..input.ingest import display_referred

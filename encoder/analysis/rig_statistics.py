@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import Undistortion
-from decogs.formats.callbacks import OnProgress
+from decogs.decoder.cameras.lens import Undistortion
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.pictures import Picture
+from decogs.formats.pictures.reading import Picture
 from decogs.formats.rigs import Rig, read_frames
+from decogs.formats.system.callbacks import OnProgress
 
 from ..change.noise import picture_noise
 from ..input.ingest import RigFrame, View, check_held_out, display_referred

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.hull import Hull
-from decogs.decoder.lens import Undistortion
+from decogs.decoder.cameras.lens import Undistortion
+from decogs.decoder.subject.hull import Hull
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
 from decogs.formats.splats import FloatArray
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.threads import thread_count
+from decogs.formats.system.threads import thread_count
 
 from ..parallel import side_by_side
 from .boards import Board

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as, whole_number
+from decogs.formats.cli.command_line import Parser, number_of_threads, print_text, progress, run, warn_as, whole_number
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import staged_files
-from decogs.formats.unicode_forms import composed
+from decogs.formats.files.outputs import staged_files
+from decogs.formats.files.unicode_forms import composed
 
 if TYPE_CHECKING:
     from decogs.formats.cameras import Camera

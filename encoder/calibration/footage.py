@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.colour import srgb_from_linear
+from decogs.formats.colours.srgb import srgb_from_linear
 from decogs.formats.errors import RigError
-from decogs.formats.pictures import Picture
+from decogs.formats.files.unicode_forms import composed
+from decogs.formats.pictures.reading import Picture
 from decogs.formats.rigs import FrameSource
 from decogs.formats.rigs.sources import (
     holds_frames,
@@ -24,7 +25,6 @@ from decogs.formats.rigs.sources import (
     pictures_in,
     refuse_unknown_kinds,
 )
-from decogs.formats.unicode_forms import composed
 
 _THUMBNAIL = (64, 48)
 _SAME_STEPS = 1.0

@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from decogs.decoder.lens import lens_of
+from decogs.decoder.cameras.lens import lens_of
 from decogs.formats.cameras import Camera, DistortionModel, is_distorted
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_recordings

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decogs.decoder.lens import undistort_pixels
+from decogs.decoder.cameras.lens import undistort_pixels
 from decogs.formats.cameras import Camera, camera_centre, ray_slopes
 
 from ..analysis.matches import essential_matrices, sampson_distances

@@ -11,7 +11,7 @@ import numpy as np
 
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import UsageError
-from decogs.formats.up_direction import AXES, turn_between, up_of
+from decogs.formats.geometry.up_direction import AXES, turn_between, up_of
 
 from .features import F64
 from .footage import Footage

@@ -20,8 +20,8 @@ import numpy as np
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
-from decogs.formats.extras import install
 from decogs.formats.rigs.colmap import lens_parameters
+from decogs.formats.system.extras import install
 
 from .certainty import focal_deviations
 from .features import Features

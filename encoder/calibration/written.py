@@ -10,7 +10,7 @@ from typing import Any
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
-from decogs.formats.outputs import Output, check_folder_name, check_outputs
+from decogs.formats.files.outputs import Output, check_folder_name, check_outputs
 from decogs.formats.rigs.fields import read_json
 
 from .placed import Calibration, Placed

@@ -15,11 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from decogs.codec.digest import digest
-from decogs.formats.callbacks import OnProgress, OnWarning
+from decogs.codec.scene.digest import digest
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import STREAM, GrowingFile, Output, check_outputs, is_device, write_whole
+from decogs.formats.files.outputs import STREAM, GrowingFile, Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import Rig, open_rig, without_cameras
+from decogs.formats.system.callbacks import OnProgress, OnWarning
 
 from ..backends import check_device
 from ..encoding import chosen_settings, files_of_job, source_of, wanted_effects

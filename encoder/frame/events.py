@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from decogs.codec.corrections import Corrections
+from decogs.codec.packets.corrections import Corrections
 from decogs.formats.splats import FloatArray
 
 from ..change.cuts import shows_another_scene

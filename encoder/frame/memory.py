@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from decogs.codec.state import State
+from decogs.codec.scene.state import State
 
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl

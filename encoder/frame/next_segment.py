@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decogs.codec.state import changed_between
+from decogs.codec.scene.state import changed_between
 
 from ..backends.scene_views import SceneViews
 from ..coding.scene import Scene

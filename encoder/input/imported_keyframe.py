@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import Lattice
-from decogs.codec.state import ARRAYS, Attributes, State, all_rows
-from decogs.decoder.stream import open_stream
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.scene.lattice import Lattice
+from decogs.codec.scene.state import ARRAYS, Attributes, State, all_rows
+from decogs.decoder.reading.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import Undistortion, with_k1
-from decogs.decoder.matte_checks import is_white
+from decogs.decoder.cameras.lens import Undistortion, with_k1
+from decogs.decoder.subject.matte_checks import is_white
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, rig_extent, scale_camera
-from decogs.formats.colour import srgb_from_linear
+from decogs.formats.colours.srgb import srgb_from_linear
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.frame_ranges import Frames, frame_slice
+from decogs.formats.frames.ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 

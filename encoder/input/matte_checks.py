@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from decogs.decoder import matte_checks
-from decogs.formats.callbacks import OnWarning
+from decogs.decoder.subject import matte_checks
+from decogs.formats.system.callbacks import OnWarning
 
 from .ingest import Ingest, RigFrame
 

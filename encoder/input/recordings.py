@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.pictures import Picture
+from decogs.codec.header.header import StreamHeader
+from decogs.formats.pictures.reading import Picture
 from decogs.formats.rigs import Rig, files_with
 
 _RECORDED_SETTING, _PICTURES_SETTING = "recorded", "pictures"

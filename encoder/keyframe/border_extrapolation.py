@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.resizing import resized, resized_plane
+from decogs.decoder.rendering.resizing import resized, resized_plane
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, scale_camera, turned
 from decogs.formats.splats import FloatArray, Splats, round_splats
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from decogs.codec.corrections import Corrections
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import Lattice, quantise
-from decogs.codec.state import State
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import Corrections
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.scene.lattice import Lattice, quantise
+from decogs.codec.scene.state import State
 from decogs.formats.errors import RigError
 
 from ..backends import TrainingKernel

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
-from decogs.codec.state import Attributes
-from decogs.decoder.resizing import resized, resized_plane
+from decogs.codec.scene.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.scene.state import Attributes
+from decogs.decoder.rendering.resizing import resized, resized_plane
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, join_splats, round_splats, sigmoid, take_splats
 

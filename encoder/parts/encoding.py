@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import chain, islice
 
-from decogs.formats.container import FRAME_KINDS, PacketKind, PacketReader
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind, PacketReader
 
 from ..frame.context import Context
 from ..input.recordings import is_current

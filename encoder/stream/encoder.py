@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from decogs.codec.corrections import CorrectedCameras, Corrections
-from decogs.codec.digest import digest
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import Lattice, default_lattice
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras, Corrections
 from decogs.codec.reconstruct import reconstruct
-from decogs.formats.container import Packet
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import Lattice, default_lattice
 from decogs.formats.errors import RigError, StreamError
 from decogs.formats.splats import sh_degree_of
+from decogs.formats.stream.container import Packet
 
 from ..coding.stream_header import stream_header
 from ..frame.context import Context

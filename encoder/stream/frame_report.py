@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import fmean
 
-from decogs.decoder.views import render_view
-from decogs.formats.callbacks import OnWarning
-from decogs.formats.container import PacketKind
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.splats import FloatArray
+from decogs.formats.stream.container import PacketKind
+from decogs.formats.system.callbacks import OnWarning
 
 from ..change.masks import usable_views
 from ..frame.context import Context

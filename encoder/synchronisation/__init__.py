@@ -6,7 +6,7 @@ finds. ``DESIGN.md`` has measurements and rejected variants.
 
 from typing import TYPE_CHECKING
 
-from decogs.formats.lazy_names import lazy_names
+from decogs.formats.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from .opening import AUTO as AUTO

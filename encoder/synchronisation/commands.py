@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
-from decogs.formats.outputs import staged_files
+from decogs.formats.cli.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
+from decogs.formats.files.outputs import staged_files
 
 if TYPE_CHECKING:
     from decogs.formats.rigs import Rig

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decogs.formats.chapters import chapters_from
-from decogs.formats.length_units import metres_of
+from decogs.formats.geometry.length_units import metres_of
 from decogs.formats.rigs import Rig, in_step
 from decogs.formats.rigs.timeline import RigIndex, RigTime, Timeline
-from decogs.formats.soundtracks import Sound, read_sound
-from decogs.formats.videos import VideoSource
+from decogs.formats.sound.tracks import Sound, read_sound
+from decogs.formats.videos.chapters import chapters_from
+from decogs.formats.videos.reading import VideoSource
 
 from ..parallel import Each
 from .joint import Joint

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import undistort_pixels
+from decogs.decoder.cameras.lens import undistort_pixels
 from decogs.formats.cameras import Camera, camera_centre, ray_slopes
 
 F32 = NDArray[np.float32]

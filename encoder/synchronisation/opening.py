@@ -6,8 +6,8 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from decogs.formats.callbacks import OnProgress
 from decogs.formats.rigs import Rig, in_step, open_recordings, open_rig
+from decogs.formats.system.callbacks import OnProgress
 
 from .starts import find_starts
 from .sync_file import read_starts

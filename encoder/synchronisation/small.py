@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, scale_camera
-from decogs.formats.pictures import Picture
+from decogs.formats.pictures.reading import Picture
 from decogs.formats.rigs import FrameSource, read_repeating
 
 from ..input.ingest import display_referred

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre
-from decogs.formats.soundtracks import RATE, Sound
+from decogs.formats.sound.tracks import RATE, Sound
 
 from .joint import Joint
 

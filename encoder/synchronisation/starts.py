@@ -13,15 +13,15 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.callbacks import OnProgress
 from decogs.formats.cameras import Camera
-from decogs.formats.length_units import metres_of
+from decogs.formats.geometry.length_units import metres_of
 from decogs.formats.rigs import FrameSource, Rig
 from decogs.formats.rigs.rig import usual
 from decogs.formats.rigs.steps import steps_of
 from decogs.formats.rigs.timeline import RigTime
-from decogs.formats.soundtracks import Sound, read_sound
-from decogs.formats.videos import VideoSource
+from decogs.formats.sound.tracks import Sound, read_sound
+from decogs.formats.system.callbacks import OnProgress
+from decogs.formats.videos.reading import VideoSource
 
 from ..parallel import Each, side_by_side
 from .drift import find_drifts, said

@@ -7,7 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from decogs.formats.errors import RigError
-from decogs.formats.frame_rates import exact_rate
+from decogs.formats.frames.rates import exact_rate
 from decogs.formats.rigs import Rig
 from decogs.formats.rigs.fields import Fields, read_json
 from decogs.formats.rigs.steps import MAX_START

@@ -8,11 +8,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from decogs.formats.frame_rates import exact_rate
+from decogs.formats.frames.rates import exact_rate
 from decogs.formats.rigs import Rig
 from decogs.formats.rigs.rig import more
-from decogs.formats.timecodes import Timecode, read_timecode
-from decogs.formats.videos import VideoSource
+from decogs.formats.videos.reading import VideoSource
+from decogs.formats.videos.timecodes import Timecode, read_timecode
 
 from .joint import Joint
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from decogs.bench.ablations import DECOGS, PAPER
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.selection import SELECTION_RULES
 from decogs.encoder.methods import FRAME_METHODS, method_of

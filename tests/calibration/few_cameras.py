@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from table import deviations
 
-from decogs.decoder.lens import distort_pixels, with_k1
+from decogs.decoder.cameras.lens import distort_pixels, with_k1
 from decogs.encoder.calibration.by_motion import believed
 from decogs.encoder.calibration.features import Features, features_of, matched, sift_extractor
 from decogs.encoder.calibration.footage import Footage, instants_of, pictures_at

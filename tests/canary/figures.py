@@ -29,7 +29,7 @@ from decogs.encoder.analysis.analyse import analyse  # noqa: E402
 from decogs.encoder.settings.encode import EncodeSettings  # noqa: E402
 from decogs.encoder.settings.presets import LADDER, preset  # noqa: E402
 from decogs.encoder.switches import with_method  # noqa: E402
-from decogs.formats.container import PacketKind  # noqa: E402
+from decogs.formats.stream.container import PacketKind  # noqa: E402
 from encode_rig import encode_rig as encode  # noqa: E402
 from packets import iterate_packets  # noqa: E402
 

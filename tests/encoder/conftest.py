@@ -16,11 +16,11 @@ import pytest
 
 import decogs.encoder.frame.plan as plan
 import decogs.encoder.stream.encoder as stream_encoder
-from decogs.codec.corrections import Correction
-from decogs.codec.state import State
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.codec.packets.corrections import Correction
+from decogs.codec.scene.state import State
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
 from decogs.encoder.frame.context import Context
 from decogs.encoder.frame.encode_frame import Encoded as EncodedFrame

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import decogs.encoder.coding.packets as packets
-from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, Correction
-from decogs.codec.digest import digest
-from decogs.decoder.camera_corrections import apply_gain, as_it_stood
+from decogs.codec.packets.corrections import ANGLE_STEP, COLOUR_STEP, Correction
+from decogs.codec.scene.digest import digest
+from decogs.decoder.cameras.corrections import apply_gain, as_it_stood
 from decogs.decoder.decoding import decode
 from decogs.decoder.rasterise import Rendering, render
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder.backends import RenderedPicture
 from decogs.encoder.backends.cpu.cpu_kernel import HostPicture
 from decogs.encoder.input.compensation import CorrectionMemory, Corrector, _of_the_others, corrector_of
@@ -30,7 +30,7 @@ from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
-from decogs.formats.pictures import read_picture
+from decogs.formats.pictures.reading import read_picture
 from decogs.formats.rigs import open_rig, read_frames
 
 SHIFT = (0.2, -0.1, 0.05)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from decogs.decoder.rasterise import render
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import EncodeSettings
 from decogs.encoder.backends import ATTRIBUTES, training_kernel
 from decogs.encoder.backends.scene_views import SceneViews

@@ -30,8 +30,8 @@ from decogs.encoder.commands import encode_main, join_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.synchronisation.commands import sync_main
 from decogs.formats.cameras import project
-from decogs.formats.container import SIGNATURE
 from decogs.formats.rigs import open_rig
+from decogs.formats.stream.container import SIGNATURE
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import Switches
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
 from decogs.encoder.methods import FRAME_METHODS

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.lens import Undistortion
+from decogs.decoder.cameras.lens import Undistortion
 from decogs.encoder.input.ingest import Ingest, display_referred
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise, quantise
+from decogs.codec.scene.lattice import dequantise, quantise
 from decogs.encoder.backends import Drawable
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.optimiser import drawn_splats

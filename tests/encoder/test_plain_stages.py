@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.input.compensation.matching import find_colours
 from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.keyframe import first_frame

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from decogs.decoder.rasterise.native import render_planes
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.input.compositing import background_for, over
 from decogs.encoder.input.mattes import MatteChoice
 from encode_rig import encode_rig as encode

@@ -22,8 +22,8 @@ from decogs.encoder.synchronisation.starts import frames_late, joined, known, wh
 from decogs.formats.cameras import Camera, project
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_recordings, open_rig
-from decogs.formats.soundtracks import RATE, Sound, read_sound
-from decogs.formats.timecodes import read_timecode
+from decogs.formats.sound.tracks import RATE, Sound, read_sound
+from decogs.formats.videos.timecodes import read_timecode
 from videos_with_sound import claps, write_video
 
 WIDTH, HEIGHT, LENGTH = 96, 72, 32

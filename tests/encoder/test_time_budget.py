@@ -14,8 +14,8 @@ import pytest
 
 import decogs.encoder.methods.decogs as frame_training
 import decogs.encoder.training.schedule as schedule
-from decogs.codec.digest import digest
-from decogs.decoder.stream import open_stream
+from decogs.codec.scene.digest import digest
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.coding.scene import Scene

@@ -18,8 +18,8 @@ from decogs.formats.cameras import Camera
 from decogs.formats.rigs import Rig
 from decogs.formats.rigs.rig import recorded_rate
 from decogs.formats.rigs.timeline import Timeline
-from decogs.formats.timecodes import read_timecode, timecode_of
-from decogs.formats.videos import VideoSource
+from decogs.formats.videos.reading import VideoSource
+from decogs.formats.videos.timecodes import read_timecode, timecode_of
 
 NTSC = 60000 / 1001
 DAY = 24 * 3600

@@ -20,9 +20,9 @@ from decogs.encoder.commands import encode_parser
 from decogs.encoder.synchronisation.sync_file import read_starts
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
+from decogs.formats.files.unicode_forms import as_it_lies
 from decogs.formats.mattes import matte_rig, pictures_per_camera
 from decogs.formats.rigs import open_rig
-from decogs.formats.unicode_forms import as_it_lies
 
 Form = Literal["NFC", "NFD"]
 OTHER: dict[Form, Form] = {"NFC": "NFD", "NFD": "NFC"}

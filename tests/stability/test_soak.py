@@ -14,11 +14,11 @@ import pytest
 
 import decogs.encoder.coding.scene as scene
 import decogs.encoder.frame.plan as plan
-from decogs.codec.digest import digest
-from decogs.codec.state import ARRAYS, State
-from decogs.decoder.picture_output import to_8bit
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.state import ARRAYS, State
+from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import render
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.frame.context import Context
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.encode import EncodeSettings

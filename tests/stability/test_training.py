@@ -18,9 +18,9 @@ import pytest
 
 import decogs.encoder.change.masks as masks_module
 import decogs.encoder.frame.events as events
-from decogs.codec.digest import digest
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.codec.scene.digest import digest
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.commands import encode_main

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 sys.path[:0] = [str(Path(__file__).parents[1])] * (str(Path(__file__).parents[1]) not in sys.path)
 
-from decogs.decoder.hull import Hull, SubjectView, with_margin  # noqa: E402
+from decogs.decoder.subject.hull import Hull, SubjectView, with_margin  # noqa: E402
 from decogs.encoder.input.ingest import Ingest, RigFrame  # noqa: E402
 from decogs.encoder.keyframe.backdrop.stage import Stage, find_stage  # noqa: E402
 from decogs.encoder.keyframe.first_points import first_points  # noqa: E402

@@ -19,7 +19,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, CorrectedCameras, Correction, Corrections, whole_steps
+from decogs.codec.packets.corrections import (
+    ANGLE_STEP,
+    COLOUR_STEP,
+    CorrectedCameras,
+    Correction,
+    Corrections,
+    whole_steps,
+)
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 

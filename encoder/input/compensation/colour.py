@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.camera_corrections import apply_gain
+from decogs.decoder.cameras.corrections import apply_gain
 from decogs.formats.splats import FloatArray, logit
 
 from ...numerics import tukey

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from decogs.codec.corrections import Corrections
+from decogs.codec.packets.corrections import Corrections
 
 from ...stopwatch import Stopwatch
 from ..ingest import RigFrame, View

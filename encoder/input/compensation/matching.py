@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.corrections import COLOUR_STEP, Correction, Corrections, whole_steps
+from decogs.codec.packets.corrections import COLOUR_STEP, Correction, Corrections, whole_steps
 from decogs.formats.cameras import project
 from decogs.formats.splats import FloatArray
 

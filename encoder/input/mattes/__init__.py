@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from decogs.formats.lazy_names import lazy_names
+from decogs.formats.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from .choice import MatteChoice as MatteChoice

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from decogs.formats.pictures import Picture
+from decogs.formats.pictures.reading import Picture
 from decogs.formats.splats import FloatArray
 
 _Y_CBCR = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], np.float32)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.formats.colour import linear_from_srgb, srgb_from_linear
+from decogs.formats.colours.srgb import linear_from_srgb, srgb_from_linear
 from decogs.formats.errors import RigError
 from decogs.formats.mattes import alpha_of, matte_place, matte_rig, own_alpha_rig, pictures_per_camera
-from decogs.formats.pictures import Picture, read_picture
+from decogs.formats.pictures.reading import Picture, read_picture
 from decogs.formats.rigs import OnLost, Rig, read_frames
 from decogs.formats.rigs.sources import files_of_source, list_folder, refuse_unknown_kinds
 from decogs.formats.splats import FloatArray

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from decogs.decoder.hull import BoolArray
+from decogs.decoder.subject.hull import BoolArray
 
 from ...input.filling import push_pull
 from ..first_points.views import Array, floats

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.hull import BoolArray
+from decogs.decoder.subject.hull import BoolArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project
 
 from .surfaces import F64, PlainView, nearest_of, plain_colours

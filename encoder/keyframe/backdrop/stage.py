@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.hull import BoolArray, Hull, SubjectView, with_margin
+from decogs.decoder.subject.hull import BoolArray, Hull, SubjectView, with_margin
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import FloatArray, Splats, round_splats
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.hull import BoolArray, Hull, hull_of_mattes, matte_view
+from decogs.decoder.subject.hull import BoolArray, Hull, hull_of_mattes, matte_view
 from decogs.formats.splats import FloatArray, Splats, empty_splats
 
 from ...input.ingest import RigFrame, View

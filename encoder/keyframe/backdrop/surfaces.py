@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.hull import BoolArray
+from decogs.decoder.subject.hull import BoolArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, turned
 
 from ..first_points.views import Array, floats

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decogs.decoder.hull import MOST_PIXELS, BoolArray, hull_camera, recorded_pixels
-from decogs.decoder.resizing import resized
+from decogs.decoder.rendering.resizing import resized
+from decogs.decoder.subject.hull import MOST_PIXELS, BoolArray, hull_camera, recorded_pixels
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray
 

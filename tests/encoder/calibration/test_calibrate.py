@@ -19,8 +19,8 @@ from decogs.encoder.calibration.board_rig import BoardRig
 from decogs.encoder.calibration.boards import BoardView, parse_board
 from decogs.encoder.calibration.commands import calibrate_main
 from decogs.encoder.calibration.lenses import Lens, focal_deviation
-from decogs.formats.extras import install
 from decogs.formats.rigs import open_rig
+from decogs.formats.system.extras import install
 
 CORNERS = parse_board("charuco:5x4:0.05:0.0375:DICT_4X4_50").corners()
 LENS = Lens("none", (500.0, 500.0), (319.5, 239.5), (0.0,) * 4)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.lens import distort_pixels, with_k1
+from decogs.decoder.cameras.lens import distort_pixels, with_k1
 from decogs.encoder.calibration import certainty
 from decogs.encoder.calibration.by_motion import _explained, believed, is_mirrored, moving_cameras
 from decogs.encoder.calibration.certainty import focal_deviations

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.lens import distort_pixels, undistort_pixels, with_k1
+from decogs.decoder.cameras.lens import distort_pixels, undistort_pixels, with_k1
 from decogs.encoder.analysis.lens_distortion import LensDistortion
 from decogs.encoder.analysis.light import light_at, light_overall, mismatch, own_light, shared_points
 from decogs.encoder.analysis.matches import features_of, find_matches, matched
