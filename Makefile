@@ -95,7 +95,7 @@ lint: $(READY) ## ruff: rules and formatting
 type: $(READY) ## mypy --strict over the five layers
 	$(BIN)/mypy
 
-layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder <- bench
+layers: $(READY) ## import contracts: formats <- codec <- decoder <- rig <- encoder <- bench
 	$(BIN)/lint-imports --no-logo
 
 unit: $(READY) ## pytest, a process for each processor
@@ -206,5 +206,5 @@ $(BLENDER_ENV)/ready:
 
 clean: ## remove what was built and every cache; environments and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY) $(USER_READY)
-	find decogs formats codec decoder encoder bench share tests -name __pycache__ -prune -exec rm -rf {} +
+	find decogs formats codec decoder rig encoder bench share tests -name __pycache__ -prune -exec rm -rf {} +
 	find formats decoder encoder -name '*.abi3.so' -delete

@@ -15,7 +15,7 @@ from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.rasterise.reference import render_reference
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import through_lens, view_plan
-from decogs.encoder.psnr import psnr_of
+from decogs.encoder.backends.psnr import psnr_of
 from decogs.formats.files.outputs import write_whole
 from decogs.formats.splats import FloatArray, Splats
 

@@ -35,7 +35,6 @@ from decogs.encoder.analysis import AUTO, Decision, with_effects
 from decogs.encoder.analysis.analyse import analyse
 from decogs.encoder.frame.context import Context
 from decogs.encoder.input.imported_keyframe import read_keyframe
-from decogs.encoder.input.ingest import Ingest, check_held_out, frame_span
 from decogs.encoder.output.convergence_log import ConvergenceLog
 from decogs.encoder.output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from decogs.encoder.settings.effects import PRESET_EFFECTS
@@ -48,6 +47,7 @@ from decogs.formats.frames.ranges import Frames
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 from decogs.formats.system.threads import thread_count
+from decogs.rig.pictures.ingest import Ingest, check_held_out, frame_span
 
 from .courses import Course, course, read_course, recorded_course, write_course
 from .estimates import rounded

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from .decoding import decode as decode
     from .exporting.exporting import ExportReport as ExportReport
     from .exporting.exporting import export as export
+    from .exporting.sound import SoundReport as SoundReport
+    from .exporting.sound import decode_sound as decode_sound
     from .reading.damage import Damage as Damage
     from .reading.damage import DamageWarning as DamageWarning
     from .reading.frame import DecodedFrame as DecodedFrame
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from .reading.stream import Stream as Stream
     from .reading.stream import open_stream as open_stream
     from .rendering.views import render_view as render_view
-    from .sound.extracting import SoundReport as SoundReport
-    from .sound.extracting import decode_sound as decode_sound
     from .viewing.notebook import View as View
     from .viewing.notebook import view as view
 
@@ -36,8 +36,8 @@ _HOMES = {
     "ExportReport": "exporting.exporting",
     "export": "exporting.exporting",
     "DecodedFrame": "reading.frame",
-    "SoundReport": "sound.extracting",
-    "decode_sound": "sound.extracting",
+    "SoundReport": "exporting.sound",
+    "decode_sound": "exporting.sound",
     "Stream": "reading.stream",
     "open_stream": "reading.stream",
     "StreamInfo": "reading.info",

@@ -40,7 +40,7 @@ from decogs.formats.frames.ranges import frame_range
 from decogs.formats.geometry.up_direction import UPS
 from decogs.formats.usd.prims import FLAVOURS
 
-from .reading.limits import DEFAULT_MAX_MEMORY
+from .limits import DEFAULT_MAX_MEMORY
 
 if TYPE_CHECKING:
     from .rendering.layouts import Layout
@@ -308,7 +308,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
 
 
 def _decode_sound(parser: Parser, options: argparse.Namespace) -> None:
-    from .sound.extracting import decode_sound
+    from .exporting.sound import decode_sound
 
     wanted = {"view": options.view, "camera": options.camera, "audio": options.audio, "follow": options.follow or None}
     for name, value in {**wanted, "move": options.move}.items():

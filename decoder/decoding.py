@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO, Union
 
 from decogs.codec.header.header import StreamHeader
 from decogs.formats.cameras import Camera
+from decogs.formats.colours.srgb import Colour
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.files.outputs import Output, check_outputs, files_read
 from decogs.formats.frames.ranges import Frames
@@ -22,22 +23,15 @@ from decogs.formats.system.callbacks import OnProgress, OnWarning
 from .cameras.files import camera_file, read_camera_file
 from .cameras.moves import Move, camera_move
 from .cameras.path import DEFAULT_FPS, CameraPath, ToFilm, shown_frames
+from .frame_choice import chosen_frames, chosen_pictures, coming_frames, damage_to, frames_in_any_order, open_chosen
+from .limits import DEFAULT_MAX_MEMORY
 from .output.pictures import PictureSink, holds_sound, open_sink
 from .output.video import VideoSettings
 from .reading.following import DEFAULT_IDLE, GrowingStream, follow_stream
-from .reading.frame_choice import (
-    chosen_frames,
-    chosen_pictures,
-    coming_frames,
-    damage_to,
-    frames_in_any_order,
-    open_chosen,
-)
-from .reading.limits import DEFAULT_MAX_MEMORY
 from .reading.stream import Stream
 from .rendering.compositing import Ids, static_ids
 from .rendering.layouts import Layout
-from .rendering.shots import Colour, Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
+from .rendering.shots import Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
 from .sound.samples import heard_in
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from packaging.requirements import Requirement
 from decogs.formats.system.kernels import INSTRUCTION_SETS, kernel_path
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "encoder", "bench")
+LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "bench")
 INSTALLED = metadata.distribution("decogs")
 
 

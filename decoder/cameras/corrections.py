@@ -14,7 +14,7 @@ from decogs.codec.packets.corrections import Correction
 from decogs.formats.cameras import Camera, turned
 from decogs.formats.splats import FloatArray
 
-from ..rendering.straight_alpha import straight_colours
+from ..rasterise.straight_alpha import straight_colours
 
 if TYPE_CHECKING:
     from ..rasterise import Rendering

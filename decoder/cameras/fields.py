@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import MAX_SIDE, Camera
 from decogs.formats.errors import UsageError
 
-from ..reading.limits import DEFAULT_MAX_MEMORY
+from ..limits import DEFAULT_MAX_MEMORY
 
 LARGEST = 1e12
 """Of a camera's numbers: what is computed of them stays finite."""

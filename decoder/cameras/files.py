@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..reading.limits import DEFAULT_MAX_MEMORY
+from ..limits import DEFAULT_MAX_MEMORY
 from .fields import parsed_json
 from .nerfstudio import is_nerfstudio_path, nerfstudio_path
 from .path import CameraPath, ToFilm

@@ -20,7 +20,7 @@ from decogs.formats.cli.command_line import (
 from decogs.formats.errors import UsageError
 
 from ..commands import whole_file
-from ..reading.limits import DEFAULT_MAX_MEMORY
+from ..limits import DEFAULT_MAX_MEMORY
 from .operations import OPERATIONS
 
 

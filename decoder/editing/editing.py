@@ -16,7 +16,7 @@ from decogs.formats.files.outputs import PNG, STREAM, GrowingFile, Output, check
 from decogs.formats.stream.container import PacketKind, StreamWriter
 from decogs.formats.system.callbacks import OnProgress, OnWarning
 
-from ..reading.limits import DEFAULT_MAX_MEMORY
+from ..limits import DEFAULT_MAX_MEMORY
 from .operations.base import Operation
 from .recipe import read_recipe
 from .take import Frame, Take, open_take

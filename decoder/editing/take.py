@@ -17,8 +17,8 @@ from decogs.formats.stream.container import Packet, PacketKind
 from decogs.formats.stream.reasons import Reason
 from decogs.formats.system.callbacks import OnWarning
 
+from ..frame_choice import open_chosen
 from ..reading.frame import DecodedFrame
-from ..reading.frame_choice import open_chosen
 from ..reading.stream import Stream
 from ..sound.packets import FrameSound
 from .names import OWN_IDS

@@ -33,9 +33,9 @@ from decogs.formats.usd.openusd import load_openusd
 from decogs.formats.usd.prims import FLAVOURS, Flavour
 from decogs.formats.usd.writing import USD_SUFFIXES
 
+from ..frame_choice import open_chosen
+from ..limits import DEFAULT_MAX_MEMORY
 from ..output.pictures import DEFAULT_FPS
-from ..reading.frame_choice import open_chosen
-from ..reading.limits import DEFAULT_MAX_MEMORY
 
 if TYPE_CHECKING:
     from ..subject.subject import AnyStream

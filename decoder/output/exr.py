@@ -36,7 +36,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.frames.rates import exact_rate
 from decogs.formats.splats import FloatArray
 
-from ..rendering.straight_alpha import straight_colours
+from ..rasterise.straight_alpha import straight_colours
 
 if TYPE_CHECKING:
     from ..rasterise import Rendering

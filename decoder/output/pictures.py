@@ -38,7 +38,7 @@ from decogs.formats.frames.names import names_of_frames
 from decogs.formats.splats import FloatArray
 
 from ..cameras.path import DEFAULT_FPS as DEFAULT_FPS
-from ..rendering.straight_alpha import straight_picture
+from ..rasterise.straight_alpha import straight_picture
 from .exr import Layers, save_exr
 from .raw_video import RawVideo
 from .video import CODECS, Movie, VideoSettings, check_settings

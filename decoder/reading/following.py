@@ -34,10 +34,10 @@ from decogs.formats.stream.container import (
 from decogs.formats.stream.reasons import Reason
 from decogs.formats.stream.survey import check_lost, check_places, next_past_damage, past_unfinished
 
+from ..limits import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
 from ..sound.following import ComingSound
 from .damage import Concealment, Damage, OnDamage, errors_name
 from .frame import DecodedFrame, decode_frame
-from .limits import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
 from .stream import in_its_world, read_header
 
 DEFAULT_IDLE = 600.0

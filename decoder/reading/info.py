@@ -13,9 +13,9 @@ from decogs.codec.scene.state import GROUPS
 from decogs.formats.stream.container import PACKET_OVERHEAD
 from decogs.formats.system.callbacks import OnProgress
 
+from ..limits import DEFAULT_MAX_MEMORY
 from .damage import Damage
 from .frame import DecodedFrame
-from .limits import DEFAULT_MAX_MEMORY
 from .stream import Stream, open_stream
 
 

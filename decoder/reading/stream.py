@@ -36,10 +36,10 @@ from decogs.formats.stream.container import (
 from decogs.formats.stream.reasons import Reason
 from decogs.formats.stream.survey import Survey, search, survey
 
+from ..limits import DEFAULT_MAX_MEMORY, frames_within, gaussians_within, limits_explained, payload_within
 from ..sound.packets import FrameSound, sound_behind
 from .damage import Concealment, Damage, OnDamage, errors_name
 from .frame import DecodedFrame, decode_frame
-from .limits import DEFAULT_MAX_MEMORY, frames_within, gaussians_within, limits_explained, payload_within
 from .packets import WRONG_INDEX, FileFrom, FramePackets
 
 

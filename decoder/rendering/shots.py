@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.corrections import Correction
 from decogs.formats.cameras import Camera
+from decogs.formats.colours.srgb import Colour
 from decogs.formats.splats import FloatArray
 
 from ..cameras.corrections import with_recorded_colours
 from ..cameras.path import CameraPath, camera_of_frame
+from ..limits import check_picture
 from ..output.exr import Layers
 from ..reading.frame import DecodedFrame
-from ..reading.limits import check_picture
 from .compositing import Ids, dynamic_part, motion_to
 from .layouts import Layout
 from .views import (
@@ -33,8 +34,6 @@ from .views import (
 
 if TYPE_CHECKING:
     from ..rasterise import Rendering
-
-Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

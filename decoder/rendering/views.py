@@ -18,7 +18,7 @@ from decogs.formats.splats import Splats
 
 from ..cameras.corrections import apply_gain, as_it_stood, with_recorded_colours
 from ..cameras.lens import Redistortion
-from ..reading.limits import MAX_PICTURE_PIXELS, check_picture, pairs_within
+from ..limits import MAX_PICTURE_PIXELS, check_picture, pairs_within
 
 if TYPE_CHECKING:
     from ..rasterise import Rendering

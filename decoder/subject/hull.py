@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, in_picture, project, scale_camera
 from decogs.formats.splats import FloatArray
 
-from ..rendering.resizing import resized_plane
+from ..cameras.resizing import resized_plane
 
 BoolArray = NDArray[np.bool_]
 

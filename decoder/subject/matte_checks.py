@@ -1,7 +1,7 @@
 """Mattes that cannot be what they should: white or black all over, inverted, or another camera's.
 
 Every pixel of a subject lies before a point of space that all cameras see as subject, or do not see: mattes of several
-cameras say so of each other. Figures: encoder/input/mattes/DESIGN.md.
+cameras say so of each other. Figures: rig/mattes/DESIGN.md.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from decogs.formats.files.regular_files import open_regular
 
+from ..limits import DEFAULT_MAX_MEMORY
 from ..reading.following import DEFAULT_IDLE
-from ..reading.limits import DEFAULT_MAX_MEMORY
 
 if TYPE_CHECKING:
     from decogs.codec.header.header import StreamHeader

@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from .effect import Decision as Decision
     from .effect import Effect as Effect
     from .effect import Evidence as Evidence
-    from .rig_statistics import RigStatistics as RigStatistics
-    from .rig_statistics import gather_statistics as gather_statistics
 
 _HOMES = {
     "EFFECT_NAMES": ".settings.effects",
@@ -60,8 +58,6 @@ _HOMES = {
     "Decision": "effect",
     "Effect": "effect",
     "Evidence": "effect",
-    "RigStatistics": "rig_statistics",
-    "gather_statistics": "rig_statistics",
 }
 __all__ = list(_HOMES)
 __getattr__ = lazy_names(__name__, _HOMES)

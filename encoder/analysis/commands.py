@@ -20,9 +20,8 @@ from decogs.formats.files.outputs import (
 )
 from decogs.formats.files.unicode_forms import composed
 from decogs.formats.frames.ranges import frame_range
-
-from ..input.mattes.options import add_matte_options, matte_choice
-from ..synchronisation.commands import add_sync_option, rig_in_step
+from decogs.rig.mattes.options import add_matte_options, matte_choice
+from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
 
 _PAGE = "index.html"
 
@@ -74,10 +73,10 @@ def analyze_parser() -> Parser:
 
 def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     from decogs.formats.rigs import files_of, without_cameras
+    from decogs.rig.check.mattes import check_mattes
+    from decogs.rig.mattes import files_of_mattes, open_mattes
+    from decogs.rig.pictures.ingest import Ingest, frame_span
 
-    from ..input.ingest import Ingest, frame_span
-    from ..input.matte_checks import check_mattes
-    from ..input.mattes import files_of_mattes, open_mattes
     from .analyse import analyse
 
     rig = without_cameras(rig_in_step(options), options.exclude)

@@ -11,9 +11,9 @@ from decogs.codec.packets.sound import SoundTrack
 from decogs.codec.scene.lattice import Lattice
 from decogs.formats.cameras import is_distorted
 from decogs.formats.rigs import Rig
+from decogs.rig.pictures.ingest import Ingest
+from decogs.rig.pictures.recording_digests import setting_of
 
-from ..input.ingest import Ingest
-from ..input.recordings import setting_of
 from ..settings.encode import EncodeSettings
 
 

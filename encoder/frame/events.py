@@ -8,12 +8,12 @@ from enum import Enum
 
 from decogs.codec.packets.corrections import Corrections
 from decogs.formats.splats import FloatArray
+from decogs.rig.pictures.ingest import RigFrame
 
 from ..change.cuts import shows_another_scene
 from ..change.flashes import MAX_FLASH_FRAMES, changes_most, is_missed, matches, may_be_flash
 from ..change.masks import PixelChange, usable_views
 from ..coding.scene import Scene
-from ..input.ingest import RigFrame
 from ..stopwatch import Stopwatch
 from .context import Context
 from .memory import BeforeFlash, Memory

@@ -21,8 +21,7 @@ from decogs.codec.scene.state import ARRAYS, Attributes, State, all_rows
 from decogs.decoder.reading.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
-
-from .ingest import Ingest
+from decogs.rig.pictures.ingest import Ingest
 
 _CAMERA_TOLERANCE = 1e-9
 """Relative and absolute: the same calibration read on another machine may differ in the last bits."""

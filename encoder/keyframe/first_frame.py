@@ -11,18 +11,18 @@ from decogs.codec.packets.keyframes import keyframe_state
 from decogs.codec.scene.lattice import Lattice, quantise
 from decogs.codec.scene.state import State
 from decogs.formats.errors import RigError
+from decogs.rig.pictures.dropouts import BLACK, blankness
+from decogs.rig.pictures.ingest import Ingest, RigFrame, View
+from decogs.rig.stage.stage import PlainStage, Stage, find_stage
 
 from ..backends import TrainingKernel
 from ..input.compensation import Corrector
 from ..input.compensation.frame import match_colours
 from ..input.compensation.matching import find_colours
-from ..input.dropouts import BLACK, blankness
-from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import StoppingRule
-from .backdrop.stage import PlainStage, Stage, find_stage
 from .first_points import FirstPoints, first_points
 from .harmonics import trim_sh_degree
 from .large_pictures import fit_to_pictures

@@ -23,12 +23,12 @@ from decogs.formats.geometry.rotations import rotation_matrices
 from decogs.formats.geometry.similarity import NO_CHANGE, Similarity, transformed_splats
 from decogs.formats.geometry.up_direction import AXES, turn_between, up_of
 from decogs.formats.splats import Splats, logit, sh_degree_of, sigmoid, take_splats
+from decogs.rig.pictures.ingest import Ingest, RigFrame
 
 from ..backends import TrainingKernel
+from ..backends.psnr import mean_psnr
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
-from ..input.ingest import Ingest, RigFrame
-from ..psnr import mean_psnr
 from ..settings.encode import EncodeSettings
 from .harmonics import trim_sh_degree
 

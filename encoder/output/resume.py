@@ -27,8 +27,8 @@ from decogs.formats.stream.container import (
     check_count,
     read_packet_at,
 )
+from decogs.rig.pictures.recording_digests import difference
 
-from ..input.recordings import difference
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
 

@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 
 F = TypeVar("F", np.float32, np.float64)
 
+Colour = tuple[float, float, float]
+"""Red, green and blue, display-referred, 0 to 1."""
+BLACK: Colour = (0.0, 0.0, 0.0)
+
 
 def linear_from_srgb(coded: NDArray[F]) -> NDArray[F]:
     """Linear light of coded values of at least 0."""

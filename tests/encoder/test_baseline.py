@@ -17,7 +17,6 @@ from decogs.codec.scene.digest import digest
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.methods import threedgstream
 from decogs.encoder.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
@@ -26,6 +25,7 @@ from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats, join_splats, take_splats
 from decogs.formats.stream.container import PacketKind
+from decogs.rig.pictures.ingest import Ingest
 from one_frame import train, training_context
 
 BOX = (np.array([-3.5, -3.0, -1.0]), np.array([3.5, 3.0, 1.0]))

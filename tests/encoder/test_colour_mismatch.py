@@ -18,11 +18,11 @@ from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
 from decogs.encoder.input.compensation.colour import logit_shift
 from decogs.encoder.input.compensation.matching import find_colours
-from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.pictures.reading import read_picture
 from decogs.formats.rigs import open_rig
+from decogs.rig.pictures.ingest import Ingest
 
 COLOURS = {
     "cam00": Correction(exposure=900),

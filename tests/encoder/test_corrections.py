@@ -26,12 +26,12 @@ from decogs.encoder.input.compensation.agreement import SharedSurface, agreeing_
 from decogs.encoder.input.compensation.benefit import Benefit
 from decogs.encoder.input.compensation.colour import logit_shift, remove_gain
 from decogs.encoder.input.compensation.shake import angles_of, estimate_turn, undo_turn
-from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures.reading import read_picture
 from decogs.formats.rigs import open_rig, read_frames
+from decogs.rig.pictures.ingest import Ingest, View
 
 SHIFT = (0.2, -0.1, 0.05)
 LENS = (0.12, 0.01, 0.002, -0.003)

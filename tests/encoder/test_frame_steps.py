@@ -28,9 +28,6 @@ from decogs.encoder.frame.next_segment import NextSegment
 from decogs.encoder.frame.plan import FramePlan, Selection, light_only, plan_frame
 from decogs.encoder.frame.train import train_frame
 from decogs.encoder.input.compensation.colour import remove_gain
-from decogs.encoder.input.ingest import RigFrame
-from decogs.encoder.keyframe.backdrop.stage import PlainStage
-from decogs.encoder.keyframe.backdrop.subject import SubjectAlone
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
@@ -41,6 +38,9 @@ from decogs.encoder.training.warm_start import Motion
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats
 from decogs.formats.stream.container import PacketKind
+from decogs.rig.pictures.ingest import RigFrame
+from decogs.rig.stage.stage import PlainStage
+from decogs.rig.stage.subject import SubjectAlone
 
 Stub: Any = SimpleNamespace
 DRAFT = preset("draft")

@@ -32,12 +32,12 @@ from decogs.decoder.rendering.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.input.ingest import frame_span
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.rigs import open_rig
 from decogs.formats.stream.container import PacketKind, StreamWriter
 from decogs.formats.system.kernels import INSTRUCTION_SETS, best_instruction_set
+from decogs.rig.pictures.ingest import frame_span
 
 ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 

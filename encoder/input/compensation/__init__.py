@@ -29,9 +29,9 @@ from decogs.codec.packets.corrections import (
 )
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
+from decogs.rig.pictures.ingest import View
 
 from ...settings.effects import CorrectionSettings
-from ..ingest import View
 from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
 from .benefit import Benefit, on_grid
 from .colour import LogitShift, logit_shift, remove_gain
