@@ -99,8 +99,8 @@ def _bench(parser: Parser, options: argparse.Namespace, given: Sequence[str]) ->
 
 
 def _views_report(parser: Parser, options: argparse.Namespace, command: str) -> Path:
-    from .left_out import LeftOutOptions
-    from .left_out_report import make_views_report
+    from .views.left_out import LeftOutOptions
+    from .views.report import make_views_report
 
     return make_views_report(
         options.rigs,
@@ -126,8 +126,8 @@ def _cameras(text: str) -> int | list[str] | None:
 
 
 def _report_of_variants(parser: Parser, options: argparse.Namespace, command: str) -> Path:
-    from .report import PLANS, make_report
-    from .runs import BenchOptions
+    from .reports.report import PLANS, make_report
+    from .runs.rig_bench import BenchOptions
 
     return make_report(
         PLANS[options.kind],

@@ -68,7 +68,7 @@ def test_nothing_else_is_installed() -> None:
     assert not [str(file) for file in files if file.parts[0] == "decogs" and "test" in str(file)]
 
 
-@pytest.mark.parametrize(("layer", "file"), [("formats", "SPEC.md"), ("bench", "trade_page.html")])
+@pytest.mark.parametrize(("layer", "file"), [("formats", "SPEC.md"), ("bench", "reports/trade_page.html")])
 def test_files_that_are_no_modules_are_installed(layer: str, file: str) -> None:
     assert (layer_folder(layer) / file).read_bytes() == (ROOT / layer / file).read_bytes()
 

@@ -51,7 +51,7 @@ def test_contracts_hold(copied_house: Path) -> None:
         ("formats/rigs/n3dv.py", "torch"),
         ("decoder/__init__.py", "torch"),
         ("encoder/backends/cuda/optimiser.py", "decogs.encoder.backends.cpu.stretch"),
-        ("encoder/backends/psnr.py", "decogs.bench.metrics"),
+        ("encoder/backends/psnr.py", "decogs.bench.measures.metrics"),
         ("encoder/settings/frame.py", "decogs.encoder.training.method"),
     ],
 )

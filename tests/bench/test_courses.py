@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from decogs.bench.courses import Course, course, read_course, recorded_course, write_course
+from decogs.bench.runs.courses import Course, course, read_course, recorded_course, write_course
 
 
 def log_of(frame: int, losses: list[float], *, every: float = 0.5, stage: str = "joint") -> list[str]:

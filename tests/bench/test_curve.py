@@ -12,13 +12,14 @@ from typing import Any
 import cv2
 import pytest
 
-from decogs.bench import report, runs
-from decogs.bench.plans import Plan, Trade
-from decogs.bench.report import make_report
-from decogs.bench.runs import BenchOptions, RigBench
-from decogs.bench.trade import COSTS, QUALITIES
-from decogs.bench.trade_page import inline_json
-from decogs.bench.variants import Question, Variant
+from decogs.bench.questions.variants import Question, Variant
+from decogs.bench.reports import report
+from decogs.bench.reports.report import make_report
+from decogs.bench.reports.trade import COSTS, QUALITIES
+from decogs.bench.reports.trade_page import inline_json
+from decogs.bench.runs import rig_bench as runs
+from decogs.bench.runs.results import Plan, Trade
+from decogs.bench.runs.rig_bench import BenchOptions, RigBench
 
 pytestmark = [
     pytest.mark.usefixtures("short_presets"),

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from decogs.bench.differences import BYTES, CPU, MEASURES, MOVING, across_rigs, difference_table, differences
 from decogs.bench.estimates import Estimate, estimate, written
-from decogs.bench.plans import RigResults
-from decogs.bench.runs import KEYFRAME, BenchOptions, RigBench
-from decogs.bench.tables import COLUMNS, figures
-from decogs.bench.variants import Question, Variant
+from decogs.bench.questions.variants import Question, Variant
+from decogs.bench.runs.results import RigResults
+from decogs.bench.runs.rig_bench import KEYFRAME, BenchOptions, RigBench
+from decogs.bench.tables.columns import COLUMNS, figures
+from decogs.bench.tables.differences import BYTES, CPU, MEASURES, MOVING, across_rigs, difference_table, differences
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

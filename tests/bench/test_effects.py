@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from decogs.bench import effects
-from decogs.bench.report import EFFECTS, make_report
-from decogs.bench.runs import BenchOptions, RigBench
+from decogs.bench.questions import effects
+from decogs.bench.reports.report import EFFECTS, make_report
+from decogs.bench.runs.rig_bench import BenchOptions, RigBench
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

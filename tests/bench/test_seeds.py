@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from decogs.bench import runs
 from decogs.bench.commands import bench_parser
-from decogs.bench.plans import Plan, Trade
-from decogs.bench.report import make_report
-from decogs.bench.runs import BenchOptions
-from decogs.bench.variants import Question, Variant
+from decogs.bench.questions.variants import Question, Variant
+from decogs.bench.reports.report import make_report
+from decogs.bench.runs import rig_bench as runs
+from decogs.bench.runs.results import Plan, Trade
+from decogs.bench.runs.rig_bench import BenchOptions
 from decogs.formats.errors import TrainingError
 
 pytestmark = pytest.mark.usefixtures("short_presets")

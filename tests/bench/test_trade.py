@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from decogs.bench.curve import PRESET_ROWS, QUESTIONS
-from decogs.bench.plans import Plan, RigResults
-from decogs.bench.report import CURVE
-from decogs.bench.runs import KEYFRAME, BenchOptions, RigBench
-from decogs.bench.trade import COSTS, QUALITIES, Point, Step, front, points_of, shown_range
-from decogs.bench.variants import Question, Variant, settings_of
+from decogs.bench.questions.curve import PRESET_ROWS, QUESTIONS
+from decogs.bench.questions.variants import Question, Variant, settings_of
+from decogs.bench.reports.report import CURVE
+from decogs.bench.reports.trade import COSTS, QUALITIES, Point, Step, front, points_of, shown_range
+from decogs.bench.runs.results import Plan, RigResults
+from decogs.bench.runs.rig_bench import KEYFRAME, BenchOptions, RigBench
 from decogs.encoder.settings.presets import LADDER
 
 CPU, FPS = (next(axis for axis in COSTS if axis.key == key) for key in ("cpu", "decode_fps"))

@@ -36,11 +36,11 @@ from decogs.formats.splats import Splats
 from decogs.formats.system.threads import thread_count
 from decogs.rig.pictures.ingest import frame_span
 
-from .estimates import rounded
-from .machine import code_version, machine_facts
-from .metrics import BytePicture, Mask, psnr, square_error_map
-from .regions import held_out_pictures, true_mattes
-from .runs import digest, document, read_document, result_name
+from ..estimates import rounded
+from ..machine import code_version, machine_facts
+from ..measures.metrics import BytePicture, Mask, psnr, square_error_map
+from ..measures.regions import held_out_pictures, true_mattes
+from ..runs.rig_bench import digest, document, read_document, result_name
 from .surfaces import Surfaces, in_two, midway
 
 REFERENCE = "standard"

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .estimates import NOTHING, Estimate, estimate, rounded, written
-from .plans import RigResults
-from .runs import Run
-from .tables import COLUMNS, markdown
-from .variants import Question, Variant
+from ..estimates import NOTHING, Estimate, estimate, rounded, written
+from ..questions.variants import Question, Variant
+from ..runs.results import RigResults
+from ..runs.rig_bench import Run
+from .columns import COLUMNS, markdown
 
 
 @dataclass(frozen=True)

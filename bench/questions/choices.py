@@ -10,7 +10,7 @@ from __future__ import annotations
 from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.settings.frame import IterationSettings, SignificanceSettings
 
-from .timing import TIMINGS
+from ..timing import TIMINGS
 from .variants import Question, Times, Variant
 
 _QUALITY = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "slope_dynamic", "mtv")

@@ -21,20 +21,22 @@ from decogs.formats.files.outputs import Output, check_folder_name, check_output
 from decogs.formats.rigs import files_of
 from decogs.formats.system.callbacks import OnWarning
 
-from . import choices, curve, differences, effects, paper, rates, summaries
-from .machine import code_version, machine_facts
+from ..machine import code_version, machine_facts
+from ..questions import choices, curve, effects, paper, rates
+from ..questions.variants import Question, Variant
+from ..rivals.sequences import Rival
+from ..runs.precision import find_precision, measure_precision
+from ..runs.progress import BenchProgress
+from ..runs.results import Contest, Plan, RigResults, Trade
+from ..runs.rig_bench import KEYFRAME, BenchOptions, RigBench, Run, check_names
+from ..runs.rivals import find_rival, point_of, point_of_rival, rival_file, run_rival
+from ..tables import differences
+from ..tables.columns import NOT_RUN, figures
+from . import summaries
 from .page import report_page
-from .plans import Contest, Plan, RigResults, Trade
 from .plots import require_plots
-from .precision import find_precision, measure_precision
-from .progress import BenchProgress
-from .rival_runs import find_rival, point_of, point_of_rival, rival_file, run_rival
-from .rivals.sequences import Rival
-from .runs import KEYFRAME, BenchOptions, RigBench, Run, check_names
-from .tables import NOT_RUN, figures
 from .trade import trade_document
 from .trade_page import trade_page
-from .variants import Question, Variant
 
 NONE = "none"
 """For ``only``: nothing is run, the report is written from what is there."""

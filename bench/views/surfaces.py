@@ -20,7 +20,7 @@ from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre, in_picture, project, ray_slopes, turned
 from decogs.formats.splats import Splats, take_splats
 
-from .metrics import Mask
+from ..measures.metrics import Mask
 
 AGREES = 0.05
 """A camera sees a surface where its own depth there differs by at most this share."""

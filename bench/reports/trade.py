@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from .estimates import Estimate, estimate
-from .plans import Plan, RigResults
-from .runs import KEYFRAME, Run
-from .tables import cpu_seconds, decode_fps, later, mean, mean_of, wall_seconds
+from ..estimates import Estimate, estimate
+from ..runs.results import Plan, RigResults
+from ..runs.rig_bench import KEYFRAME, Run
+from ..tables.columns import cpu_seconds, decode_fps, later, mean, mean_of, wall_seconds
 
 
 @dataclass(frozen=True)

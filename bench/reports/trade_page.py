@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
-from .estimates import about_seeds
-from .plans import Plan, RigResults
+from ..estimates import about_seeds
+from ..runs.results import Plan, RigResults
 from .plots import COLOURS
 from .trade import axes_document, trade_document
 
@@ -23,7 +23,7 @@ _TITLE, _DATA = "{{title}}", "{{data}}"
 
 def trade_page(plan: Plan, results: Sequence[RigResults], command: str) -> str:
     """The page for the rows there are; ``command`` is what made it."""
-    template = resources.files("decogs.bench").joinpath("trade_page.html").read_text("utf-8")
+    template = resources.files("decogs.bench.reports").joinpath("trade_page.html").read_text("utf-8")
     data = {
         "command": command,
         "axes": axes_document(),

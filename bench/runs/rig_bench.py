@@ -49,15 +49,15 @@ from decogs.formats.splats import Splats
 from decogs.formats.system.threads import thread_count
 from decogs.rig.pictures.ingest import Ingest, check_held_out, frame_span
 
+from ..estimates import rounded
+from ..machine import code_version, load, machine_facts
+from ..measures.metrics import BytePicture
+from ..measures.perceptual import installed_network, perceptual_distance
+from ..measures.quality import FrameQuality, HeldOut, StreamQuality, measure_scenes
+from ..measures.regions import Regions, find_regions, held_out_pictures, static_column, true_mattes
+from ..questions.variants import Variant, settings_of
+from ..timing import TIMINGS, retimed
 from .courses import Course, course, read_course, recorded_course, write_course
-from .estimates import rounded
-from .machine import code_version, load, machine_facts
-from .measuring import FrameQuality, HeldOut, StreamQuality, measure_scenes
-from .metrics import BytePicture
-from .perceptual import installed_network, perceptual_distance
-from .regions import Regions, find_regions, held_out_pictures, static_column, true_mattes
-from .timing import TIMINGS, retimed
-from .variants import Variant, settings_of
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -25,8 +25,8 @@ from decogs.formats.pictures.reading import read_picture
 from decogs.formats.rigs import Rig, read_frames
 from decogs.rig.pictures.ingest import display_referred
 
+from ..timing import retimed
 from .metrics import BytePicture, Mask
-from .timing import retimed
 
 STATIC_RANGE = 6.0
 """A recorded pixel is static while its 3x3 mean stays within so many 8-bit levels, and so do its neighbours' ..."""

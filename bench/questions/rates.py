@@ -7,10 +7,10 @@ from decogs.formats.splat_files.sog import Sog
 from decogs.formats.splat_files.splat import Splat
 from decogs.formats.splat_files.spz import Spz, SpzVersion
 
-from .rivals.float_arrays import FloatArrays, FloatDeltas
-from .rivals.fourdgs import FourDGS
-from .rivals.sequences import FilePerFrame, Rival, WithoutDirections
-from .rivals.splat4d import Splat4d
+from ..rivals.float_arrays import FloatArrays, FloatDeltas
+from ..rivals.fourdgs import FourDGS
+from ..rivals.sequences import FilePerFrame, Rival, WithoutDirections
+from ..rivals.splat4d import Splat4d
 from .variants import Question, Variant
 
 RATE_POINTS = tuple(

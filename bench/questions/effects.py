@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.settings.effects import EFFECT_NAMES
 
-from .differences import MOVING, Measure
-from .estimates import NOTHING, estimate
-from .plans import RigResults
-from .tables import markdown
+from ..estimates import NOTHING, estimate
+from ..runs.results import RigResults
+from ..tables.columns import markdown
+from ..tables.differences import MOVING, Measure
 from .variants import Question, Variant
 
 AUTO = Variant("effects-auto", "detected (auto)", effects=EffectChoice("auto"))

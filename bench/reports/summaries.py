@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from . import paper
-from .differences import MOVING
-from .estimates import NOTHING, estimate
-from .plans import RigResults
-from .tables import COLUMNS, markdown
-from .variants import Variant
+from ..estimates import NOTHING, estimate
+from ..questions import paper
+from ..questions.variants import Variant
+from ..runs.results import RigResults
+from ..tables.columns import COLUMNS, markdown
+from ..tables.differences import MOVING
 
 
 def against_baseline(results: Sequence[RigResults]) -> list[str]:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from decogs.formats.errors import UsageError
 from decogs.formats.system.extras import install
 
-from .courses import Course
-from .rival_runs import RatePoint
-from .runs import Run
+from ..runs.courses import Course
+from ..runs.rig_bench import Run
+from ..runs.rivals import RatePoint
 from .trade import COSTS, Axis, Point, front, shown_range
 
 if TYPE_CHECKING:

@@ -19,12 +19,12 @@ from decogs.encoder.backends.psnr import psnr_of
 from decogs.formats.files.outputs import write_whole
 from decogs.formats.splats import FloatArray, Splats
 
-from .estimates import rounded
-from .machine import code_version
-from .metrics import BytePicture
-from .regions import held_out_pictures
-from .runs import RigBench
-from .variants import Variant
+from ..estimates import rounded
+from ..machine import code_version
+from ..measures.metrics import BytePicture
+from ..measures.regions import held_out_pictures
+from ..questions.variants import Variant
+from .rig_bench import RigBench
 
 SCALE = 0.5
 """Of the pictures compared, times the report's: the twin lets every pixel see every Gaussian."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from decogs.encoder.output.convergence_log import ConvergenceLog
 from decogs.formats.files.outputs import write_whole
 
-from .estimates import rounded
+from ..estimates import rounded
 
 _LATER = ("cache", "joint")
 """Stages of a later frame's training, as the log calls them."""

@@ -6,19 +6,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import paper, rates
-from .differences import difference_table
-from .estimates import NOTHING, about_seeds, written
-from .machine import code_version
-from .perceptual import installed_network
-from .plans import Contest, Plan, RigResults
+from ..estimates import NOTHING, about_seeds, written
+from ..machine import code_version
+from ..measures.perceptual import installed_network
+from ..measures.regions import measured_size
+from ..questions import paper, rates
+from ..questions.variants import Question, Variant
+from ..runs.results import Contest, Plan, RigResults
+from ..runs.rig_bench import KEYFRAME, RigBench, Run
+from ..runs.rivals import RatePoint, point_of, point_of_rival, rival_file
+from ..tables.columns import COLUMNS, NOT_RUN, markdown, number
+from ..tables.differences import difference_table
 from .plots import plot_courses, plot_effort, plot_quality, plot_rates, plot_scanlines, plot_trade
-from .regions import measured_size
-from .rival_runs import RatePoint, point_of, point_of_rival, rival_file
-from .runs import KEYFRAME, RigBench, Run
-from .tables import COLUMNS, NOT_RUN, markdown, number
 from .trade import COSTS, QUALITIES, Axis, Point, front, gain_heading, points_of
-from .variants import Question, Variant
 
 _SHOWN_QUALITIES, _SHOWN_COSTS = ("psnr_dynamic", "ssim"), ("cpu", "kilobytes", "decode_fps")
 """Of all pairs of axes, those with a picture or a table; the page to explore has them all."""

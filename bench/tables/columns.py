@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from .estimates import NOTHING, Estimate, estimate, written
-from .metrics import slope
-from .perceptual import NOT_INSTALLED
-from .runs import Run, RunFrame
+from ..estimates import NOTHING, Estimate, estimate, written
+from ..measures.metrics import slope
+from ..measures.perceptual import NOT_INSTALLED
+from ..runs.rig_bench import Run, RunFrame
 
 NOT_RUN = "not run"
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from ..questions.variants import Question, Variant
+from ..rivals.sequences import Rival
 from .courses import Course
 from .precision import Precision
-from .rival_runs import RivalRun
-from .rivals.sequences import Rival
-from .runs import KEYFRAME, RigBench, Run
-from .variants import Question, Variant
+from .rig_bench import KEYFRAME, RigBench, Run
+from .rivals import RivalRun
 
 
 @dataclass(frozen=True)
