@@ -1,1 +1,1 @@
-"""Ways to train that others are compared with: parts of a method left out. The encoder finds them by entry point."""
+"""Methods to compare with, found by entry point: 3DGStream's recipe, and a method with parts left out."""

@@ -21,15 +21,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.encoder.backends import ATTRIBUTES, SplatGradients, gradients_like
+from decogs.encoder.methods.transformation_cache import RELEASED_CACHE, CacheConfig, TransformationCache
+from decogs.encoder.settings.optimiser import LearningRates
+from decogs.encoder.training.losses import PhotometricLoss, require_finite, whole_picture_loss
+from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame, TrainingContext
+from decogs.encoder.training.view_order import view_order
 from decogs.formats.geometry.rotations import rotation_matrices
 from decogs.formats.splats import Splats, join_splats, logit, sigmoid, take_splats
-
-from ..backends import ATTRIBUTES, SplatGradients, gradients_like
-from ..settings.optimiser import LearningRates
-from ..training.losses import PhotometricLoss, require_finite, whole_picture_loss
-from ..training.method import FrameInput, TrainedFrame, TrainingContext
-from ..training.view_order import view_order
-from .transformation_cache import RELEASED_CACHE, CacheConfig, TransformationCache
 
 DISSIMILARITY = 0.2
 """Lambda of 3DGS's loss."""
@@ -178,3 +177,6 @@ def _rows_from(gradients: SplatGradients, first: int) -> SplatGradients:
         gradients.sh[first:],
         gradients.view[first:],
     )
+
+
+BASELINE = FrameMethod(BaselineTrainer, dense=True)

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import decogs.encoder.frame.plan as plan
+from decogs.bench.methods import threedgstream
+from decogs.bench.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.codec.scene.digest import digest
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.methods import threedgstream
-from decogs.encoder.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
 from decogs.encoder.training.method import TrainedFrame
 from decogs.formats.errors import TrainingError
