@@ -33,7 +33,7 @@ def bench_parser() -> Parser:
         ("choices", 3, "what the paper leaves open and every default, one table per question"),
         ("rates", 1, "rate and distortion: several rates, and other ways to keep the same frames"),
         ("effects", 3, "detected effects, all, none, and each one wrongly disabled"),
-        ("curve", 3, "what accuracy costs in time: presets and single settings, the Pareto front, a page to explore"),
+        ("curve", 3, "what accuracy costs in time: presets and single settings, and the Pareto front"),
     ):
         # No abbreviations: --seed 7, one seed elsewhere, would be seven of them here.
         kind = kinds.add_parser(name, help=about, allow_abbrev=False)
@@ -127,7 +127,7 @@ def _cameras(text: str) -> int | list[str] | None:
 
 def _report_of_variants(parser: Parser, options: argparse.Namespace, command: str) -> Path:
     from .reports.report import PLANS, make_report
-    from .runs.rig_bench import BenchOptions
+    from .runs.run import BenchOptions
 
     return make_report(
         PLANS[options.kind],

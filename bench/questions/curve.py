@@ -1,6 +1,6 @@
 """What accuracy costs in time: every way to have less or more of it, from the presets to single settings.
 
-Rows share the keyframe wherever they do not change it. Axes, points and fronts are in `trade`.
+Rows share the keyframe wherever they do not change it.
 """
 
 from __future__ import annotations
@@ -74,9 +74,3 @@ QUESTIONS = (
     ),
 )
 """Families of the plot, in the order of its legend."""
-
-FOLLOWED = PRESET_ROWS
-"""Rows of which the loss inside a frame is kept."""
-
-PRECISION, PRECISION_SOURCE = "precision", PRESET_ROWS[LADDER.index("standard")]
-"""Key for ``--only``: the kernel against its float64 twin, on the stream of this row."""

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.settings.effects import EFFECT_NAMES
 
-from ..estimates import NOTHING, estimate
-from ..runs.results import RigResults
-from ..tables.columns import markdown
-from ..tables.differences import MOVING, Measure
 from .variants import Question, Variant
 
 AUTO = Variant("effects-auto", "detected (auto)", effects=EffectChoice("auto"))
@@ -40,27 +34,3 @@ QUESTIONS = (
         AUTO,
     ),
 )
-
-
-def matrix(results: Sequence[RigResults]) -> list[str]:
-    """Scene by effect: what PSNR loses without an effect, dB, whole picture / dynamic region, colours aligned."""
-    rows = [[name, *(_loss(result, variant) for result in results)] for name, variant in WITHOUT.items()]
-    return [
-        "## What a scene loses without an effect",
-        "",
-        "PSNR of the held-out view once its colours are brought to the recording's, dB against auto: whole picture / "
-        "dynamic region. “not detected”: the same run as auto.",
-        "",
-        *markdown(["without", *(result.bench.name for result in results)], rows),
-        "",
-    ]
-
-
-def _loss(result: RigResults, variant: Variant) -> str:
-    bench, runs, auto = result.bench, result.runs_of(variant), result.runs_of(AUTO)
-    if not runs or not auto:
-        return NOTHING
-    if bench.key(variant) == bench.key(AUTO):
-        return "not detected"
-    measures = (Measure("psnr_aligned", "aligned"), MOVING)
-    return " / ".join(measure.write(estimate(measure.paired(runs, auto).values())) for measure in measures)

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..estimates import NOTHING, about_seeds, written
+from ..estimates import NOTHING, about_seeds
 from ..machine import code_version
 from ..measures.perceptual import installed_network
 from ..measures.regions import measured_size
 from ..questions import paper, rates
 from ..questions.variants import Question, Variant
-from ..runs.results import Contest, Plan, RigResults
-from ..runs.rig_bench import KEYFRAME, RigBench, Run
+from ..runs.results import RigResults
+from ..runs.rig_bench import RigBench
 from ..runs.rivals import RatePoint, point_of, point_of_rival, rival_file
+from ..runs.run import KEYFRAME, Run
 from ..tables.columns import COLUMNS, NOT_RUN, markdown, number
 from ..tables.differences import difference_table
-from .plots import plot_courses, plot_effort, plot_quality, plot_rates, plot_scanlines, plot_trade
-from .trade import COSTS, QUALITIES, Axis, Point, front, gain_heading, points_of
+from .plans import Contest, Plan
+from .plots import plot_effort, plot_quality, plot_rates, plot_scanlines, plot_trade
+from .trade import QUALITY, points_of
 
-_SHOWN_QUALITIES, _SHOWN_COSTS = ("psnr_dynamic", "ssim"), ("cpu", "kilobytes", "decode_fps")
-"""Of all pairs of axes, those with a picture or a table; the page to explore has them all."""
 _RATE_HEADINGS = (
     "", "PSNR", "dynamic", "static", "subject", "mTV ×100", "first frame, kB", "s to it at 2 Mbit/s",
     "kB/frame after it", "× ours", "kB/frame, all", "CPU-ms to read", "how",
@@ -54,8 +54,8 @@ def _rig_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
         lines += [f"Not run: {'; '.join(question.title for question in untouched)}.", ""]
     if plan.contest is not None:
         lines += _contest_section(plan.contest, result)
-    if plan.trade is not None:
-        lines += _trade_section(plan, result, folder)
+    if plan.front:
+        lines += _front_section(plan, result, folder)
     return lines + (_figures(plan, result, folder) if plan.figures else [])
 
 
@@ -138,71 +138,20 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
     ]
 
 
-def _trade_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
-    """Pictures, what is best for its price, how the loss falls inside a frame, and the kernel's precision."""
-    bench, points = result.bench, points_of(plan, result)
-    lines: list[str] = []
-    if points:
-        (folder / "pictures").mkdir(exist_ok=True)
-        families = {question.key: question.title for question in plan.questions}
-        for quality in (quality for quality in QUALITIES if quality.key in _SHOWN_QUALITIES):
-            name = f"{bench.name}-curve-{quality.key.replace('_', '-')}.png"
-            plot_trade(folder / "pictures" / name, points, families, quality)
-            lines += [f"![{quality.label}, over cost](pictures/{name})", ""]
-        lines += ["Rows far below the worst preset leave these pictures; the tables above have them.", ""]
-        for cost in (cost for cost in COSTS if cost.key in _SHOWN_COSTS):
-            lines += _front_table(points, families, cost, QUALITIES[0])
-    if result.courses:
-        name = f"{bench.name}-inside.png"
-        plot_courses(folder / "pictures" / name, result.courses)
-        frames = max(course.frames for course in result.courses.values())
-        lines += [
-            "### Inside a frame",
-            "",
-            f"The loss of a later frame against the time it has been trained for; the median over up to {frames} "
-            "frames, each loss the mean over the last steps of all views. A level stretch is the "
-            "search for what emerges; a dot marks the end of the schedule.",
-            "",
-            f"![loss against seconds inside a frame](pictures/{name})",
-            "",
-        ]
-    return ["### What is best for its price", "", *lines, *_precision_section(result)] if lines else lines
-
-
-def _front_table(points: Sequence[Point], families: Mapping[str, str], cost: Axis, quality: Axis) -> list[str]:
-    rows = []
-    for step in front(points, cost, quality):
-        point = points[step.point]
-        gain = NOTHING if step.gain is None else f"{step.gain:+.3g}"
-        amounts = [written(point.estimate(axis), f".{axis.digits}f") for axis in (cost, quality)]
-        rows.append([f"{families[point.family]}: {point.label}", *amounts, gain])
-    return [
-        f"The Pareto front of {quality.label} over {cost.label}: no other row is both cheaper and better. Gains are "
-        "over the row above.",
-        "",
-        *markdown(["", cost.label, quality.label, gain_heading(cost, quality)], rows),
-        "",
-    ]
-
-
-def _precision_section(result: RigResults) -> list[str]:
-    found = result.precision
-    if found is None:
+def _front_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
+    """A picture of what is best for its price."""
+    points = points_of(plan.questions, result)
+    if not points:
         return []
-    headings = ["", "PSNR, dB", "seconds to render"]
-    rows = [
-        ["float32 kernel", f"{found.single:.5f}", f"{found.single_seconds:.4f}"],
-        ["float64 twin", f"{found.double:.5f}", f"{found.double_seconds:.1f}"],
-    ]
+    (folder / "pictures").mkdir(exist_ok=True)
+    name = f"{result.bench.name}-curve-{QUALITY.key.replace('_', '-')}.png"
+    plot_trade(folder / "pictures" / name, points, {question.key: question.title for question in plan.questions})
     return [
-        "### Kernel precision",
+        "### What is best for its price",
         "",
-        f"The decoded frame {found.frame} ({found.gaussians} Gaussians) at {found.width}x{found.height}, by the "
-        f"float32 kernel and by its float64 twin, on one thread. Against what was recorded they differ by "
-        f"{found.single - found.double:+.1e} dB; one picture against the other has {found.between:.1f} dB, and "
-        f"{found.changed:.1e} of the 8-bit values differ.",
+        f"![{QUALITY.label}, over cost](pictures/{name})",
         "",
-        *markdown(headings, rows),
+        "Rows far below the worst preset leave this picture; the tables above have them.",
         "",
     ]
 
@@ -326,7 +275,7 @@ def _about_seeds(seeds: Sequence[int]) -> list[str]:
             "such as their keyframe, drops out. “gains”, “costs” and bold: larger than two standard errors. With three "
             "seeds 18 % of the differences between equal rows are, by chance: trust what two rigs agree on. Last "
             "frame: the dynamic region's PSNR there; bytes, CPU-s: of a later frame.",
-            f"- Pictures of single runs, rivals and the kernel's precision are of seed {seeds[0]}.",
+            f"- Pictures of single runs and rivals are of seed {seeds[0]}.",
         ]
     return lines
 

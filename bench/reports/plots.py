@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from decogs.formats.errors import UsageError
 from decogs.formats.system.extras import install
 
-from ..runs.courses import Course
-from ..runs.rig_bench import Run
 from ..runs.rivals import RatePoint
-from .trade import COSTS, Axis, Point, front, shown_range
+from ..runs.run import Run
+from .trade import COSTS, QUALITY, Point, front, shown_range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#c0b000", "#999999", "#882255")
 """Distinct for colour-blind eyes, too: Okabe and Ito's, their yellow darkened to show as a dot, and two more."""
 _MARKERS = "os^Dv*P"
-_TRADED = tuple(cost for cost in COSTS if cost.key in ("cpu", "kilobytes", "decode_fps"))
 _DEVIATION = 12
 """8-bit levels from a pixel's own mean that are drawn as black or white."""
 _CHARACTERS_PER_INCH, _HANDLE_CHARACTERS = 13, 8
@@ -92,35 +90,32 @@ def plot_rates(path: Path, points: Sequence[RatePoint]) -> None:
     _save(figure, path)
 
 
-def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str], quality: Axis) -> None:
-    """``quality`` over what a frame takes to encode, to keep and to decode, each with its Pareto front.
+def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str]) -> None:
+    """Quality over what a frame takes to encode, to keep and to decode, each with its Pareto front.
 
     ``families``: their titles by key. Members of the first one are named; what is far below all of them is left out.
     Bars are standard errors over seeds.
     """
     figure = _figure(15, 5.2)
-    lowest, highest = shown_range(points, quality)
-    for place, (cost, title) in enumerate(
-        zip(_TRADED, ("time to encode", "size", "speed of decoding"), strict=True), 1
-    ):
-        axes = figure.add_subplot(1, len(_TRADED), place)
+    lowest, highest = shown_range(points)
+    for place, (cost, title) in enumerate(zip(COSTS, ("time to encode", "size", "speed of decoding"), strict=True), 1):
+        axes = figure.add_subplot(1, len(COSTS), place)
         axes.set_title(title)
         axes.set_xlabel(cost.label + (" (dearer →)" if not cost.more_is_better else " (dearer →, axis reversed)"))
-        axes.set_ylabel(f"held-out {quality.label}")
+        axes.set_ylabel(f"held-out {QUALITY.label}")
         axes.set_xscale("log")
         axes.grid(alpha=0.3, which="both")
         axes.margins(0.09)
         _plain_ticks(axes)
-        steps = [points[step.point].figures for step in front(points, cost, quality)]
-        best: list[Any] = [[figures[axis.key] for figures in steps] for axis in (cost, quality)]
+        best = (_numbers(point.at(axis) for point in front(points, cost)) for axis in (cost, QUALITY))
         axes.plot(*best, color="#999999", linewidth=7, alpha=0.45, solid_capstyle="round", label="Pareto front")
         for (family, label), colour, marker in zip(families.items(), COLOURS, _MARKERS, strict=False):
-            mine = [p for p in points if p.family == family and p.figures[quality.key] is not None]
+            mine = [p for p in points if p.family == family and p.at(QUALITY) is not None]
             if not mine:
                 continue
-            x_values, y_values = (_numbers(p.figures[axis.key] for p in mine) for axis in (cost, quality))
+            x_values, y_values = (_numbers(p.at(axis) for p in mine) for axis in (cost, QUALITY))
             first = family == next(iter(families))
-            x_errors, y_errors = (_numbers(p.errors.get(axis.key) for p in mine) for axis in (cost, quality))
+            x_errors, y_errors = (_numbers(p.error(axis) for p in mine) for axis in (cost, QUALITY))
             axes.errorbar(
                 x_values,
                 y_values,
@@ -139,20 +134,6 @@ def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str],
         if cost.more_is_better:
             axes.invert_xaxis()
         axes.set_ylim(lowest, highest)
-    _save(figure, path)
-
-
-def plot_courses(path: Path, courses: Mapping[str, Course]) -> None:
-    """The loss against seconds inside a later frame, a line for each label."""
-    figure = _figure(7.5, 4.2)
-    axes = figure.add_subplot()
-    axes.set_xlabel("seconds since the frame's pictures were there")
-    axes.set_ylabel("training loss")
-    axes.grid(alpha=0.3)
-    for (label, course), colour in zip(courses.items(), COLOURS, strict=False):
-        axes.plot(course.seconds, course.loss, color=colour, label=label)
-        axes.plot(course.seconds[-1], course.loss[-1], color=colour, marker="o", markersize=5)
-    axes.set_xlim(left=0)
     _save(figure, path)
 
 

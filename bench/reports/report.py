@@ -1,7 +1,6 @@
 """Runs what a report asks of its rigs, and writes it: Markdown with pictures, and the same figures as JSON.
 
-Everything lies in one folder and refers to itself by relative links: NAME.md, NAME.json, pictures/, runs/; where rows
-trade cost for quality there is NAME.html, too.
+Everything lies in one folder and refers to itself by relative links: NAME.md, NAME.json, pictures/, runs/.
 Runs are made rig by rig and kept as they come; writing takes a second, so that it is always done from what is there.
 """
 
@@ -25,18 +24,18 @@ from ..machine import code_version, machine_facts
 from ..questions import choices, curve, effects, paper, rates
 from ..questions.variants import Question, Variant
 from ..rivals.sequences import Rival
-from ..runs.precision import find_precision, measure_precision
 from ..runs.progress import BenchProgress
-from ..runs.results import Contest, Plan, RigResults, Trade
-from ..runs.rig_bench import KEYFRAME, BenchOptions, RigBench, Run, check_names
+from ..runs.results import RigResults
+from ..runs.rig_bench import RigBench
+from ..runs.rigs import check_names
 from ..runs.rivals import find_rival, point_of, point_of_rival, rival_file, run_rival
+from ..runs.run import KEYFRAME, BenchOptions, Run
 from ..tables import differences
 from ..tables.columns import NOT_RUN, figures
 from . import summaries
 from .page import report_page
+from .plans import Contest, Plan
 from .plots import require_plots
-from .trade import trade_document
-from .trade_page import trade_page
 
 NONE = "none"
 """For ``only``: nothing is run, the report is written from what is there."""
@@ -52,7 +51,7 @@ CHOICES = Plan(
     "choices",
     "Choices, measured",
     choices.QUESTIONS,
-    summary=partial(differences.across_rigs, choices.QUESTIONS),
+    summary=partial(summaries.across_rigs, choices.QUESTIONS),
 )
 RATES = Plan(
     "rates",
@@ -61,12 +60,12 @@ RATES = Plan(
     rates.FIGURES,
     Contest(rates.RIVALS_PART, rates.RATE_POINTS, rates.RIVALS),
 )
-EFFECTS = Plan("effects", "Effects, measured", effects.QUESTIONS, summary=effects.matrix)
+EFFECTS = Plan("effects", "Effects, measured", effects.QUESTIONS, summary=summaries.without_each_effect)
 CURVE = Plan(
     "curve",
     "What accuracy costs in time, measured",
     curve.QUESTIONS,
-    trade=Trade(curve.PRECISION, curve.PRECISION_SOURCE, curve.FOLLOWED),
+    front=True,
 )
 PLANS = {plan.name: plan for plan in (PAPER, CHOICES, RATES, EFFECTS, CURVE)}
 
@@ -89,12 +88,12 @@ def make_report(
     """
     folder, options = Path(output), options or BenchOptions()
     wanted = _wanted(plan, only)
-    if plan.figures or plan.trade:
+    if plan.figures or plan.front:
         require_plots()
     check_folder_name(folder)
     results = [RigResults(RigBench(rig_dir, folder, options)) for rig_dir in rig_dirs]
     check_names([result.bench.rig for result in results])
-    written = [Output("output", folder / f"{plan.name}{suffix}", grows=True) for suffix in (".md", ".json", ".html")]
+    written = [Output("output", folder / f"{plan.name}{suffix}", grows=True) for suffix in (".md", ".json")]
     check_outputs(written, [file for result in results for file in files_of(result.bench.rig)])
     folder.mkdir(parents=True, exist_ok=True)
     _run_missing(results, wanted, plan, terminal, on_warning)
@@ -103,9 +102,6 @@ def make_report(
             _run_rivals(results, plan.contest, terminal, on_warning)
         for result in results:
             _gather_rivals(result, plan.contest)
-    if plan.trade is not None:
-        for result in results:
-            _gather_trade(result, plan.trade, measure=not only or plan.trade.key in only)
     for result in results:
         _gather(result, [*(v for question in plan.questions for v in question.variants), KEYFRAME])
         result.bench.tidy(plan.lent)
@@ -113,8 +109,6 @@ def make_report(
     path = folder / f"{plan.name}.md"
     document = json.dumps(_document(plan, results, command), indent=1) + "\n"
     write_whole(folder / f"{plan.name}.json", document.encode())
-    if plan.trade is not None:
-        write_whole(folder / f"{plan.name}.html", trade_page(plan, results, command).encode())
     write_whole(path, ("\n".join(lines) + "\n").encode())
     return path
 
@@ -124,8 +118,6 @@ def _wanted(plan: Plan, only: Sequence[str]) -> list[Variant]:
     sets = {question.key: question.variants for question in plan.questions} | dict(plan.figures)
     if plan.contest is not None:
         sets[plan.contest.key] = (plan.contest.source,)
-    if plan.trade is not None:
-        sets[plan.trade.key] = (plan.trade.source,)
     for key in only:
         if key != NONE and key not in sets:
             raise UsageError(f"`only` {key}: there is no such part; choose from {', '.join(sets)}, {NONE}")
@@ -146,14 +138,12 @@ def _run_missing(
         for result, variants in missing:
             for variant in variants:
                 progress.started(result.bench.name, f"{variant.name}, seed {variant.seed}")
-                plain = replace(variant, seed=None)
                 try:
                     run = result.bench.run(
                         variant,
                         on_frame=progress.frame,
                         on_keyframe_step=progress.keyframe_step,
-                        keep_stream=plain in plan.lent,
-                        follow=plain in plan.followed,
+                        keep_stream=replace(variant, seed=None) in plan.lent,
                     )
                 except TrainingError as error:
                     earlier = result.failures.get(variant.name)
@@ -195,19 +185,6 @@ def _gather_rivals(result: RigResults, contest: Contest) -> None:
         run = find_rival(result.bench, contest.source, rival)
         if run is not None:
             result.rivals[rival.name] = run
-
-
-def _gather_trade(result: RigResults, trade: Trade, *, measure: bool) -> None:
-    """``measure``: the kernel's precision where it is not there; a source that cannot be trained has none."""
-    bench = result.bench
-    result.precision = find_precision(bench, trade.source)
-    if result.precision is None and measure and bench.find(trade.source) is not None:
-        result.precision = measure_precision(bench, trade.source)
-    for variant in trade.followed:
-        run = bench.find(variant)
-        course = None if run is None else bench.course_of(run)
-        if course is not None:
-            result.courses[variant.description] = course
 
 
 def _missing(bench: RigBench, wanted: Sequence[Variant]) -> list[Variant]:
@@ -254,8 +231,6 @@ def _rig_document(plan: Plan, result: RigResults) -> dict[str, Any]:
             *(_rate_document(variant, run) for variant in plan.contest.rates if (run := result.run_of(variant))),
             *(_rival_document(result, plan.contest, rival) for rival in plan.contest.rivals),
         ]
-    if plan.trade is not None:
-        document |= trade_document(plan, result)
     return document
 
 

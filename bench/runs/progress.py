@@ -8,7 +8,7 @@ from typing import TextIO
 
 from decogs.formats.cli.progress import open_progress
 
-from .rig_bench import Run
+from .run import Run
 
 
 class BenchProgress:

@@ -1,86 +1,26 @@
-"""What a report asks: its questions, figures and contest, and what runs answered them, rig by rig."""
+"""What is there of a rig: its runs by variant and seed, its rivals, and what failed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from ..questions.variants import Question, Variant
-from ..rivals.sequences import Rival
-from .courses import Course
-from .precision import Precision
-from .rig_bench import KEYFRAME, RigBench, Run
+from .rig_bench import RigBench
 from .rivals import RivalRun
-
-
-@dataclass(frozen=True)
-class Contest:
-    """The encoder's rates, finest first, and rivals that keep the frames of the finest; ``key`` for ``--only``."""
-
-    key: str
-    rates: tuple[Variant, ...]
-    rivals: tuple[Rival, ...]
-
-    @property
-    def source(self) -> Variant:
-        """The encode whose frames the rivals keep."""
-        return self.rates[0]
-
-
-@dataclass(frozen=True)
-class Trade:
-    """That the rows are points between cost and quality: fronts, plots and a page to explore them.
-
-    ``followed``: variants of which the loss inside frames is kept. ``source``: whose last frame the kernel and its
-    float64 twin are compared on; ``key`` for ``--only``.
-    """
-
-    key: str
-    source: Variant
-    followed: tuple[Variant, ...]
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A kind of report: its name (of the files, too), heading, questions, and figures with the variants they show.
-
-    ``summary``: lines that stand before the rigs' sections.
-    """
-
-    name: str
-    title: str
-    questions: tuple[Question, ...]
-    figures: Mapping[str, tuple[Variant, ...]] = field(default_factory=dict)
-    contest: Contest | None = None
-    trade: Trade | None = None
-    summary: Callable[[Sequence[RigResults]], list[str]] | None = None
-
-    @property
-    def lent(self) -> tuple[Variant, ...]:
-        """Variants whose streams are needed after their own run."""
-        sources = [part.source for part in (self.contest, self.trade) if part is not None]
-        return (KEYFRAME, *sources)
-
-    @property
-    def followed(self) -> tuple[Variant, ...]:
-        """Variants of which the loss inside frames is kept."""
-        return () if self.trade is None else self.trade.followed
+from .run import KEYFRAME, Run
 
 
 @dataclass
 class RigResults:
     """A rig's runs by key, what went wrong by the variant's or rival's name, and rivals by theirs.
 
-    ``courses``: how the loss fell inside frames, by the variant's description. ``precision``: of the kernel. These and
-    rivals are of the first seed.
+    Rivals are of the first seed.
     """
 
     bench: RigBench
     runs: dict[str, Run] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
     rivals: dict[str, RivalRun] = field(default_factory=dict)
-    courses: dict[str, Course] = field(default_factory=dict)
-    precision: Precision | None = None
 
     def runs_of(self, variant: Variant) -> dict[int, Run]:
         """The variant's runs by seed, those that were made."""

@@ -13,17 +13,13 @@ the same regions and effects again).
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, fields, replace
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,7 +31,6 @@ from decogs.encoder.analysis import AUTO, Decision, with_effects
 from decogs.encoder.analysis.analyse import analyse
 from decogs.encoder.frame.context import Context
 from decogs.encoder.input.imported_keyframe import read_keyframe
-from decogs.encoder.output.convergence_log import ConvergenceLog
 from decogs.encoder.output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
@@ -43,11 +38,10 @@ from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import UsageError
 from decogs.formats.files.outputs import GrowingFile, write_whole
-from decogs.formats.frames.ranges import Frames
-from decogs.formats.rigs import Rig, open_rig
+from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
 from decogs.formats.system.threads import thread_count
-from decogs.rig.pictures.ingest import Ingest, check_held_out, frame_span
+from decogs.rig.pictures.ingest import Ingest, frame_span
 
 from ..estimates import rounded
 from ..machine import code_version, load, machine_facts
@@ -57,100 +51,11 @@ from ..measures.quality import FrameQuality, HeldOut, StreamQuality, measure_sce
 from ..measures.regions import Regions, find_regions, held_out_pictures, static_column, true_mattes
 from ..questions.variants import Variant, settings_of
 from ..timing import TIMINGS, retimed
-from .courses import Course, course, read_course, recorded_course, write_course
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-R = TypeVar("R")
-
-FORMAT = 1
-"""Of the JSON files; raise it when what is measured changes."""
-
-KEYFRAME = Variant("keyframe", "the keyframe that all variants start from", frames=1, own_keyframe=True)
+from .documents import digest, document
+from .rigs import held_out_cameras, result_name
+from .run import FORMAT, KEYFRAME, BenchOptions, FrameCost, Run, RunFrame, read_run
 
 MOST_SEEDS = 100
-
-
-@dataclass(frozen=True)
-class BenchOptions:
-    """What all runs of a report share.
-
-    ``holdout``: cameras to measure on; the rig's own, or cam00, when there are none. ``preset``: what variants start
-    from. ``frames``, ``scale``, ``threads``: as ``encode``'s. ``seeds``: every variant is run with each of them;
-    figures are means, and what shows one run shows the first's. ``any_code``: take results that other code made.
-    ``keep_streams``: leave the .dgs files.
-    """
-
-    holdout: Sequence[str] = ()
-    frames: Frames = None
-    scale: float = 1.0
-    preset: str = "standard"
-    threads: int = 0
-    seeds: Sequence[int] = (0,)
-    any_code: bool = False
-    keep_streams: bool = False
-
-
-@dataclass(frozen=True)
-class FrameCost:
-    """What a run keeps of one FrameReport; ``frame`` is the rig's index, whatever the stride.
-
-    ``seconds``: wall clock by stage; ``cpu_seconds``: all cores added; both without measuring.
-    """
-
-    frame: int
-    kind: str
-    bytes: int
-    gaussians: int
-    selected: float
-    training_psnr: float
-    seconds: dict[str, float]
-    cpu_seconds: float
-
-
-@dataclass(frozen=True)
-class RunFrame(FrameQuality, FrameCost):
-    """One frame of a run: what it cost and how it looks, in one line of the JSON file."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """One variant over one rig, and how it was obtained; plain values, as they lie in the JSON file.
-
-    ``key``: digest of what decides the run. ``span``: the rig's frames, start, stop and step. ``load``: of the machine
-    before and after. ``changed``: settings that differ from the preset's. ``render_seconds``, ``read_seconds``: medians
-    per frame. ``decode_cpu_seconds``: of both together, in processor seconds, all cores added; ``read_cpu_seconds``: to
-    read a frame, the mean; None in a file from before they were measured. ``stream_bytes``: the file's. ``column``:
-    image column of the held-out camera that is kept in the picture beside the JSON file.
-    """
-
-    rig: str
-    variant: str
-    description: str
-    key: str
-    code: str
-    date: str
-    machine: dict[str, Any]
-    load: list[float]
-    camera: str
-    span: list[int]
-    scale: float
-    seed: int
-    threads: int
-    preset: str
-    command: str
-    changed: dict[str, str]
-    settings: dict[str, Any]
-    masks: str
-    lpips_network: str | None
-    render_seconds: float
-    read_seconds: float
-    stream_bytes: int
-    column: int
-    frames: list[RunFrame]
-    decode_cpu_seconds: float | None = None
-    read_cpu_seconds: float | None = None
 
 
 class RigBench:
@@ -166,7 +71,7 @@ class RigBench:
         self.rig = open_rig(rig_dir)
         self.name = result_name(self.rig)
         self.options = options
-        self.cameras = _held_out(self.rig, options.holdout)
+        self.cameras = held_out_cameras(self.rig, options.holdout)
         self.frames = frame_span(self.rig, options.frames)
         if len(self.frames) < 2:
             raise UsageError(f"{self.rig.path}: a report compares frames; give `frames` of at least 2")
@@ -253,13 +158,6 @@ class RigBench:
             raise UsageError(f"{path}: is missing or damaged; remove {self.file_of(run).name} to make it again")
         return np.asarray(picture[..., ::-1], np.uint8)
 
-    def course_of(self, run: Run) -> Course | None:
-        """How the loss fell inside the run's later frames; None when it was not followed."""
-        return read_course(self._course_file(run))
-
-    def _course_file(self, run: Run) -> Path:
-        return self.file_of(run).with_suffix(".course.json")
-
     def run(
         self,
         variant: Variant,
@@ -267,30 +165,23 @@ class RigBench:
         on_frame: Callable[[], None] | None = None,
         on_keyframe_step: OnKeyframeStep | None = None,
         keep_stream: bool = False,
-        follow: bool = False,
     ) -> Run:
         """Encodes and measures a variant and keeps the result; Ctrl-C and errors leave no half result.
 
         ``on_frame`` is called after each of the variant's own frames, ``on_keyframe_step`` while a keyframe is trained.
-        ``keep_stream``: leave the .dgs file for ``stream``, whatever the options say; ``tidy`` removes it. ``follow``:
-        keep how the loss fell inside its later frames for ``course_of``.
+        ``keep_stream``: leave the .dgs file for ``stream``, whatever the options say; ``tidy`` removes it.
         """
         self.runs_folder.mkdir(parents=True, exist_ok=True)
         self._streams.mkdir(parents=True, exist_ok=True)
         keyframe = None if self._trains_keyframe(variant) else self.stream(_keyframe_of(variant), on_keyframe_step)
         loads = [load()]
-        with recorded_course() if follow else nullcontext() as recording:
-            log = None if recording is None else recording.log
-            report = self._encode(variant, keyframe, on_frame, on_keyframe_step, log)
+        report = self._encode(variant, keyframe, on_frame, on_keyframe_step)
         loads.append(load())
         with open_stream(report.output, strict=True) as stream:
             scenes = (frame.splats for frame in stream.frames())
             quality = self.measured(stream.header, scenes, self.frames_of(variant))
         run = self._result(variant, report, quality, loads)
         write_whole(self.file_of(run).with_suffix(".png"), _png(quality.column))
-        followed = None if recording is None else course(recording.lines, len(self.rig.cameras) - len(self.cameras))
-        if followed is not None:
-            write_course(self._course_file(run), followed)
         write_whole(self.file_of(run), document(run).encode())
         if not (keep_stream or self.options.keep_streams):
             report.output.unlink()
@@ -337,7 +228,6 @@ class RigBench:
         keyframe: Path | None,
         on_frame: Callable[[], None] | None,
         on_keyframe_step: OnKeyframeStep | None,
-        convergence: ConvergenceLog | None = None,
     ) -> EncodeReport:
         frames = self.frames_of(variant)
         first = frames[0]
@@ -350,18 +240,11 @@ class RigBench:
         )
         # What an interrupted report left of it is worth nothing: runs are timed as a whole.
         GrowingFile(self._stream(variant), leftover="dropped").release()
-        context = Context.of(
-            ingest,
-            settings,
-            seed=self._seed(variant),
-            threads=self._threads,
-            on_loss=None if convergence is None else convergence.step,
-        )
+        context = Context.of(ingest, settings, seed=self._seed(variant), threads=self._threads)
         options = RunOptions(
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
             on_frame=None if on_frame is None else lambda _: on_frame(),
             on_keyframe_step=on_keyframe_step,
-            convergence=convergence,
         )
         report = encode_stream(context, self._stream(variant), range(first, first + len(frames)), options)
         if report.interrupted:
@@ -461,75 +344,11 @@ def _check_seeds(seeds: Sequence[int]) -> None:
         raise UsageError(f"`seeds`: give 1 to {MOST_SEEDS} different numbers of at least 0")
 
 
-def document(run: DataclassInstance) -> str:
-    """A run, which has ``frames``, as JSON, a line for each field and each frame."""
-    values = asdict(run)
-    frames = ",\n  ".join(json.dumps(frame) for frame in values.pop("frames"))
-    lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in values.items()]
-    return "{\n " + ",\n ".join([*lines, f'"frames": [\n  {frames}\n ]']) + "\n}\n"
-
-
-def read_run(path: Path) -> Run | None:
-    """A run from its JSON file; None when the file is damaged or of another format."""
-    return read_document(path, Run, RunFrame)
-
-
-def read_document(path: Path, kind: type[R], frame_kind: type[DataclassInstance]) -> R | None:
-    """What ``document`` wrote, with its ``frames``; None when the file is not there, damaged, or of another format."""
-    try:
-        values = json.loads(path.read_text("utf-8"))
-        values["frames"] = [frame_kind(**frame) for frame in values["frames"]]
-        return kind(**values)
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
-
-
-def result_name(rig: Rig) -> str:
-    """The name that a rig's results are kept by: its folder's, as part of file names."""
-    return re.sub(r"[^\w.-]+", "_", rig.path.resolve().name) or "rig"
-
-
-def check_names(rigs: Sequence[Rig]) -> None:
-    """Raises UsageError when two rigs' results would be kept by one name."""
-    seen: dict[str, Rig] = {}
-    for rig in rigs:
-        name = result_name(rig)
-        if name in seen:
-            raise UsageError(f"{rig.path}: {seen[name].path} has the same name; give each its own report")
-        seen[name] = rig
-
-
 def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
     values = {f.name: getattr(cost, f.name) for f in fields(FrameCost)} | asdict(looks)
     values["frame"] = index
     values["seconds"] = {stage: seconds for stage, seconds in cost.seconds.items() if stage != "measure"}
     return RunFrame(**rounded(values))
-
-
-def _held_out(rig: Rig, chosen: Sequence[str]) -> tuple[str, ...]:
-    """The cameras to measure on: those asked for, or the rig's own, or cam00."""
-    names = [camera.name for camera in rig.cameras]
-    if chosen:
-        check_held_out(rig, chosen)
-        return tuple(dict.fromkeys(chosen))
-    for name in (_own_held_out(rig.path / "rig.json"), "cam00"):
-        if name in names:
-            return (str(name),)
-    raise UsageError(f"{rig.path}: names no camera to hold out and has no cam00; choose one with `holdout` CAM")
-
-
-def _own_held_out(calibration: Path) -> str | None:
-    """``held_out_camera`` of a rig.json, which the rig reader leaves alone: it matters to measuring only."""
-    try:
-        value = json.loads(calibration.read_text("utf-8")).get("held_out_camera")
-    except (OSError, ValueError, AttributeError):
-        return None
-    return value if isinstance(value, str) else None
-
-
-def digest(facts: Mapping[str, Any]) -> str:
-    """Ten hexadecimal digits that tell runs of different facts apart."""
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:10]
 
 
 def _png(picture: NDArray[np.uint8]) -> bytes:

@@ -12,13 +12,14 @@ from decogs.decoder.reading.stream import Stream, open_stream
 from decogs.formats.files.outputs import write_whole
 from decogs.formats.splats import Splats
 
-from ..estimates import rounded
+from ..estimates import mean, rounded
 from ..machine import code_version
 from ..measures.quality import FrameQuality, cpu_seconds
 from ..questions.variants import Variant
 from ..rivals.sequences import Frames, Rival, SceneFrame, Sizes
-from ..tables.columns import mean
-from .rig_bench import RigBench, Run, digest, document, read_document
+from .documents import digest, document, read_document
+from .rig_bench import RigBench
+from .run import Run
 
 FORMAT = 2
 """Of the JSON files, and of what the rivals write: raise it when either changes."""

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from ..estimates import NOTHING, Estimate, estimate, written
+from ..estimates import NOTHING, Estimate, estimate, mean, written
 from ..measures.metrics import slope
 from ..measures.perceptual import NOT_INSTALLED
-from ..runs.rig_bench import Run, RunFrame
+from ..runs.run import Run, RunFrame
 
 NOT_RUN = "not run"
 
@@ -42,12 +42,6 @@ class Column:
     def value(self, runs: Iterable[Run], table: Sequence[Run]) -> str:
         """The text of a row's cell."""
         return written(self.over(runs, table), self.form, self.nothing)
-
-
-def mean(values: Iterable[float | None]) -> float | None:
-    """Mean of the values there are; None when there are none."""
-    known = [value for value in values if value is not None]
-    return math.fsum(known) / len(known) if known else None
 
 
 def mean_of(run: Run, name: str) -> float | None:

@@ -7,14 +7,14 @@ errors of both (it keeps that part), and one seed (a row that is lucky with it m
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from ..estimates import NOTHING, Estimate, estimate, rounded, written
 from ..questions.variants import Question, Variant
 from ..runs.results import RigResults
-from ..runs.rig_bench import Run
+from ..runs.run import Run
 from .columns import COLUMNS, markdown
 
 
@@ -132,33 +132,3 @@ def difference_table(result: RigResults, question: Question) -> list[str]:
         return []
     headings = ["", *(measure.heading for measure in MEASURES), "beyond two standard errors"]
     return [f"Differences to “{reference.description}”, paired by seed:", "", *markdown(headings, rows), ""]
-
-
-def across_rigs(questions: Sequence[Question], results: Sequence[RigResults]) -> list[str]:
-    """A summary of all questions: what each row has more or less than its reference, rig by rig; bold where clear."""
-    shown = (MOVING, BYTES, CPU)
-    rows = []
-    for question in questions:
-        by_rig = [{found.variant.name: found for found in differences(result, question)} for result in results]
-        for variant in question.variants:
-            cells = [_cell(rig.get(variant.name), measure) for rig in by_rig for measure in shown]
-            if any(variant.name in rig for rig in by_rig):
-                rows.append([f"{question.title}: {variant.description}", *cells])
-    if not rows:
-        return []
-    headings = ["", *(f"{result.bench.name}: {measure.heading}" for result in results for measure in shown)]
-    return [
-        "## Against the preset, over all rigs",
-        "",
-        "Where things move, bytes and processor seconds of a later frame; paired by seed, bold beyond two standard "
-        "errors.",
-        "",
-        *markdown(headings, rows),
-        "",
-    ]
-
-
-def _cell(found: Differences | None, measure: Measure) -> str:
-    difference = None if found is None else found.of(measure)
-    text = measure.write(difference)
-    return f"**{text}**" if measure.is_clear(difference) else text

@@ -40,7 +40,8 @@ from ..estimates import rounded
 from ..machine import code_version, machine_facts
 from ..measures.metrics import BytePicture, Mask, psnr, square_error_map
 from ..measures.regions import held_out_pictures, true_mattes
-from ..runs.rig_bench import digest, document, read_document, result_name
+from ..runs.documents import digest, document, read_document
+from ..runs.rigs import result_name
 from .surfaces import Surfaces, in_two, midway
 
 REFERENCE = "standard"

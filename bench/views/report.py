@@ -14,11 +14,12 @@ from decogs.encoder.output.reports import FrameReport
 from decogs.formats.files.outputs import Output, check_folder_name, check_outputs, write_whole
 from decogs.formats.rigs import files_of
 
+from ..estimates import mean
 from ..machine import code_version, machine_facts
 from ..measures.regions import measured_size
 from ..runs.progress import BenchProgress
-from ..runs.rig_bench import check_names
-from ..tables.columns import markdown, mean, number
+from ..runs.rigs import check_names
+from ..tables.columns import markdown, number
 from .left_out import LeftOut, LeftOutOptions, RigViewpoints
 
 NAME = "views"

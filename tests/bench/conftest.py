@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from decogs.bench.runs.rig_bench import Run, RunFrame
+from decogs.bench.runs.run import Run, RunFrame
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from encoder_fixtures import encoder_conftest

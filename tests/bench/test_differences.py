@@ -12,10 +12,12 @@ import pytest
 
 from decogs.bench.estimates import Estimate, estimate, written
 from decogs.bench.questions.variants import Question, Variant
+from decogs.bench.reports.summaries import across_rigs
 from decogs.bench.runs.results import RigResults
-from decogs.bench.runs.rig_bench import KEYFRAME, BenchOptions, RigBench
+from decogs.bench.runs.rig_bench import RigBench
+from decogs.bench.runs.run import KEYFRAME, BenchOptions
 from decogs.bench.tables.columns import COLUMNS, figures
-from decogs.bench.tables.differences import BYTES, CPU, MEASURES, MOVING, across_rigs, difference_table, differences
+from decogs.bench.tables.differences import BYTES, CPU, MEASURES, MOVING, difference_table, differences
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

@@ -9,7 +9,8 @@ import pytest
 
 from decogs.bench.questions import effects
 from decogs.bench.reports.report import EFFECTS, make_report
-from decogs.bench.runs.rig_bench import BenchOptions, RigBench
+from decogs.bench.runs.rig_bench import RigBench
+from decogs.bench.runs.run import BenchOptions
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

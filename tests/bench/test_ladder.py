@@ -10,7 +10,8 @@ import pytest
 
 from decogs.bench.estimates import estimate
 from decogs.bench.questions.variants import Variant
-from decogs.bench.runs.rig_bench import BenchOptions, RigBench, Run
+from decogs.bench.runs.rig_bench import RigBench
+from decogs.bench.runs.run import BenchOptions, Run
 from decogs.bench.tables.differences import MEASURES
 from decogs.encoder import PRESETS, EffectChoice
 

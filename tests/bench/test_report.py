@@ -21,6 +21,7 @@ from decogs.bench.commands import bench_main
 from decogs.bench.questions.rates import CURVES
 from decogs.bench.questions.variants import Question, Variant
 from decogs.bench.reports import page
+from decogs.bench.reports.plans import Contest, Plan
 from decogs.bench.reports.report import CHOICES, NONE, PAPER, RATES, make_report
 from decogs.bench.rivals import splat4d
 from decogs.bench.rivals.float_arrays import FloatDeltas
@@ -28,8 +29,7 @@ from decogs.bench.rivals.fourdgs import FourDGS
 from decogs.bench.rivals.sequences import FilePerFrame, Rival
 from decogs.bench.runs import rig_bench as runs
 from decogs.bench.runs.progress import BenchProgress
-from decogs.bench.runs.results import Contest, Plan
-from decogs.bench.runs.rig_bench import BenchOptions
+from decogs.bench.runs.run import BenchOptions
 from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.splat_files.ply import Ply

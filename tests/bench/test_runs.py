@@ -17,7 +17,8 @@ from decogs.bench.measures.metrics import psnr, square_error_map, total_variatio
 from decogs.bench.measures.regions import find_regions
 from decogs.bench.questions.variants import Variant
 from decogs.bench.runs import rig_bench as runs
-from decogs.bench.runs.rig_bench import KEYFRAME, BenchOptions, RigBench, read_run
+from decogs.bench.runs.rig_bench import RigBench
+from decogs.bench.runs.run import KEYFRAME, BenchOptions, read_run
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view

@@ -117,9 +117,7 @@ def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_method_of_the_bench_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "decogs.bench.methods.threedgstream", None)
-    with pytest.raises(
-        UsageError, match="^3dgstream: this method comes with the bench, .*: pip install .*\\[bench\\]'$"
-    ):
+    with pytest.raises(UsageError, match=r"^3dgstream: this method comes with the bench, .*\[bench\]'$"):
         FRAME_METHODS.get("3dgstream")
 
 
