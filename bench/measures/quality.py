@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from statistics import fmean, median
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,35 +15,89 @@ from numpy.typing import NDArray
 from decogs.codec.header.header import StreamHeader
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rendering.views import render_view
-from decogs.encoder.backends.psnr import psnr_of
 from decogs.formats.splats import Splats
 
-from .metrics import BytePicture, Mask, aligned, mean_over, psnr, square_error_map, ssim_map, total_variation
-from .perceptual import Distance
+from .metrics import BytePicture, Mask, aligned, psnr, square_error_map
+from .perceptual import NOT_INSTALLED, Distance
 from .regions import Regions
+from .shot import Metric, Shot
+
+
+def metric(
+    value: Callable[[Shot], float | None],
+    heading: str,
+    meaning: str,
+    digits: int = 2,
+    *,
+    later: bool = False,
+    **more: Any,
+) -> Any:
+    """A field of FrameQuality: a `Metric`, which has ``more``. ``later``: files from before it can be read."""
+    kept = {"metric": Metric(value, heading, meaning, digits, **more)}
+    return field(default=None, kw_only=True, metadata=kept) if later else field(metadata=kept)
 
 
 @dataclass(frozen=True)
 class FrameQuality:
-    """One frame of a held-out camera, or the means over several. PSNR in dB; None for a region without pixels.
+    """One frame of a held-out camera, or the means over several: a field for each metric, None where it has no value.
 
-    ``psnr_subject``: inside the rig's true matte. ``variation``: mean change of the static pixels since the frame
-    before, 0..1; None in the first.
-    ``variation_undisturbed``: the same of those outside every difference mask. ``psnr_aligned``: of the whole picture
-    once its colours are brought to the recording's.
+    PSNR in dB, variations in 0..1.
     """
 
-    psnr: float
-    psnr_dynamic: float | None
-    psnr_static: float | None
-    ssim: float
-    ssim_dynamic: float | None
-    ssim_static: float | None
-    lpips: float | None
-    variation: float | None
-    psnr_aligned: float | None = field(default=None, kw_only=True)
-    psnr_subject: float | None = field(default=None, kw_only=True)
-    variation_undisturbed: float | None = field(default=None, kw_only=True)
+    psnr: float | None = metric(lambda shot: shot.psnr(), "PSNR", "dB over the whole picture")
+    psnr_dynamic: float | None = metric(
+        lambda shot: shot.psnr(shot.regions.dynamic), "dynamic", "PSNR in dB over the dynamic region"
+    )
+    psnr_static: float | None = metric(
+        lambda shot: shot.psnr(shot.regions.static), "static", "PSNR in dB over the static region"
+    )
+    ssim: float | None = metric(lambda shot: shot.ssim(), "SSIM", "over the whole picture", 4)
+    ssim_dynamic: float | None = metric(
+        lambda shot: shot.ssim(shot.regions.dynamic), "SSIM dynamic", "SSIM map over the dynamic region", 4
+    )
+    ssim_static: float | None = metric(
+        lambda shot: shot.ssim(shot.regions.static), "SSIM static", "SSIM map over the static region", 4
+    )
+    lpips: float | None = metric(
+        lambda shot: None if shot.distance is None else shot.distance(shot.seen, shot.recorded),
+        "LPIPS",
+        "over the whole picture",
+        4,
+        nothing=NOT_INSTALLED,
+    )
+    variation: float | None = metric(
+        lambda shot: shot.change(shot.regions.static),
+        "mTV ×100",
+        "flicker: change of static pixels from frame to frame",
+        4,
+        units=100,
+        column="mtv",
+    )
+    psnr_aligned: float | None = metric(
+        lambda shot: psnr(square_error_map(aligned(shot.seen, shot.recorded), shot.recorded)),
+        "PSNR, aligned",
+        "the same with each channel's colours aligned first",
+        later=True,
+    )
+    psnr_subject: float | None = metric(
+        lambda shot: None if shot.matte is None else shot.psnr(shot.matte),
+        "subject",
+        "PSNR in dB inside the rig's true mattes",
+        later=True,
+    )
+    variation_undisturbed: float | None = metric(
+        lambda shot: shot.change(shot.regions.undisturbed),
+        "mTV ×100, undisturbed",
+        "flicker of static pixels outside every dilated difference mask of the held-out camera",
+        4,
+        units=100,
+        column="mtv_undisturbed",
+        later=True,
+    )
+
+
+METRICS: Mapping[str, Metric] = {f.name: f.metadata["metric"] for f in fields(FrameQuality)}
+"""By the field of FrameQuality that keeps it."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +161,7 @@ def measure_scenes(
             image = render_view(header, splats, view.camera, scale=scale, threads=threads).image
             seconds, spent = time.perf_counter() - began, cpu_seconds() - began_cpu
             seen = to_8bit(image)
-            found.append(_quality(before[number], seen, target, view.regions, matte, distance))
+            found.append(_quality(Shot(seen, target, before[number], view.regions, matte, distance)))
             before[number] = seen
             if number == 0:
                 rendering.append(seconds)
@@ -129,31 +184,11 @@ def cpu_seconds() -> float:
     return time.process_time() + times.children_user + times.children_system
 
 
+def _quality(shot: Shot) -> FrameQuality:
+    return FrameQuality(**{name: found.value(shot) for name, found in METRICS.items()})
+
+
 def _mean(found: Sequence[FrameQuality]) -> FrameQuality:
     """The means over cameras, of those that have a value."""
-    values = {f.name: [v for each in found if (v := getattr(each, f.name)) is not None] for f in fields(FrameQuality)}
-    return FrameQuality(**{name: fmean(known) if known else None for name, known in values.items()})  # type: ignore[arg-type]
-
-
-def _quality(
-    before: BytePicture | None,
-    seen: BytePicture,
-    recorded: BytePicture,
-    regions: Regions,
-    matte: Mask | None,
-    distance: Distance | None,
-) -> FrameQuality:
-    errors, likeness = square_error_map(seen, recorded), ssim_map(seen, recorded)
-    return FrameQuality(
-        psnr_of(float(errors.mean())),
-        psnr(errors, regions.dynamic),
-        psnr(errors, regions.static),
-        float(likeness.mean()),
-        mean_over(likeness, regions.dynamic),
-        mean_over(likeness, regions.static),
-        None if distance is None else distance(seen, recorded),
-        None if before is None else total_variation(before, seen, regions.static),
-        psnr_aligned=psnr_of(float(square_error_map(aligned(seen, recorded), recorded).mean())),
-        psnr_subject=None if matte is None else psnr(errors, matte),
-        variation_undisturbed=None if before is None else total_variation(before, seen, regions.undisturbed),
-    )
+    values = {name: [v for each in found if (v := getattr(each, name)) is not None] for name in METRICS}
+    return FrameQuality(**{name: fmean(known) if known else None for name, known in values.items()})

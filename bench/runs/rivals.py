@@ -27,7 +27,7 @@ LINE = 2e6
 """Bits a second: a slow line, at which PD-4DGS (arXiv 2605.11427) states the wait for the first picture."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RivalFrame(FrameQuality):
     """How one frame looks when it is read again; ``frame`` is the rig's index."""
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from ..estimates import NOTHING, Estimate, estimate, mean, written
 from ..measures.metrics import slope
-from ..measures.perceptual import NOT_INSTALLED
+from ..measures.quality import METRICS
+from ..measures.shot import Metric
 from ..runs.run import Run, RunFrame
 
 NOT_RUN = "not run"
@@ -47,12 +48,6 @@ class Column:
 def mean_of(run: Run, name: str) -> float | None:
     """Mean over all frames, the keyframe included, of a field of RunFrame."""
     return mean(getattr(frame, name) for frame in run.frames)
-
-
-def flicker(run: Run, name: str = "variation") -> float | None:
-    """mTV x100: mean change of static pixels from frame to frame, in 0..1, times 100; ``name``: of RunFrame's field."""
-    variation = mean_of(run, name)
-    return None if variation is None else 100 * variation
 
 
 def wall_seconds(run: Run) -> float | None:
@@ -99,22 +94,19 @@ def number(specification: str, nothing: str = NOTHING) -> Callable[[float | None
     return lambda value: nothing if value is None else format(value, specification)
 
 
-def _average(heading: str, meaning: str, name: str, digits: int, nothing: str = NOTHING) -> Column:
-    return Column(
-        heading,
-        f"{meaning}; mean over all frames",
-        lambda run, _: mean_of(run, name),
-        f".{digits}f",
-        nothing,
-    )
+def _column(name: str, metric: Metric) -> Column:
+    """The mean of a metric over all frames."""
+
+    def figure(run: Run, _: Sequence[Run]) -> float | None:
+        found = mean_of(run, name)
+        return None if found is None else metric.units * found
+
+    meaning = f"{metric.meaning}; mean over all frames"
+    return Column(metric.heading, meaning, figure, f".{metric.digits}f", metric.nothing)
 
 
 COLUMNS: dict[str, Column] = {
-    "psnr": _average("PSNR", "dB over the whole picture", "psnr", 2),
-    "psnr_aligned": _average("PSNR, aligned", "the same with each channel's colours aligned first", "psnr_aligned", 2),
-    "psnr_dynamic": _average("dynamic", "PSNR in dB over the dynamic region", "psnr_dynamic", 2),
-    "psnr_subject": _average("subject", "PSNR in dB inside the rig's true mattes", "psnr_subject", 2),
-    "psnr_static": _average("static", "PSNR in dB over the static region", "psnr_static", 2),
+    **{metric.column or name: _column(name, metric) for name, metric in METRICS.items()},
     "last_dynamic": Column(
         "dynamic, last frame",
         "PSNR in dB over the dynamic region of the last frame",
@@ -140,22 +132,11 @@ COLUMNS: dict[str, Column] = {
         in_common,
         ".2f",
     ),
-    "training": _average("training PSNR", "dB over the training views, undistorted", "training_psnr", 2),
-    "ssim": _average("SSIM", "over the whole picture", "ssim", 4),
-    "ssim_dynamic": _average("SSIM dynamic", "SSIM map over the dynamic region", "ssim_dynamic", 4),
-    "ssim_static": _average("SSIM static", "SSIM map over the static region", "ssim_static", 4),
-    "lpips": _average("LPIPS", "over the whole picture", "lpips", 4, NOT_INSTALLED),
-    "mtv": Column(
-        "mTV ×100",
-        "flicker: change of static pixels from frame to frame",
-        lambda run, _: flicker(run),
-        ".4f",
-    ),
-    "mtv_undisturbed": Column(
-        "mTV ×100, undisturbed",
-        "flicker of static pixels outside every dilated difference mask of the held-out camera",
-        lambda run, _: flicker(run, "variation_undisturbed"),
-        ".4f",
+    "training": Column(
+        "training PSNR",
+        "dB over the training views, undistorted; mean over all frames",
+        lambda run, _: mean_of(run, "training_psnr"),
+        ".2f",
     ),
     "seconds": Column(
         "s/frame",
