@@ -19,7 +19,7 @@ from decogs.formats.system.extras import install
 
 from ..runs.rivals import RatePoint
 from ..runs.run import Run
-from .trade import COSTS, QUALITY, Point, front, shown_range
+from .trade import COSTS, QUALITY, Point, find_front, shown_range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,7 +107,7 @@ def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str])
         axes.grid(alpha=0.3, which="both")
         axes.margins(0.09)
         _plain_ticks(axes)
-        best = (_numbers(point.at(axis) for point in front(points, cost)) for axis in (cost, QUALITY))
+        best = (_numbers(point.at(axis) for point in find_front(points, cost)) for axis in (cost, QUALITY))
         axes.plot(*best, color="#999999", linewidth=7, alpha=0.45, solid_capstyle="round", label="Pareto front")
         for (family, label), colour, marker in zip(families.items(), COLOURS, _MARKERS, strict=False):
             mine = [p for p in points if p.family == family and p.at(QUALITY) is not None]

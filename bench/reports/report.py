@@ -45,13 +45,13 @@ PAPER = Plan(
     "DecoGS and its baseline, measured",
     paper.QUESTIONS,
     paper.FIGURES,
-    summary=summaries.against_baseline,
+    summary=summaries.summarise_gains,
 )
 CHOICES = Plan(
     "choices",
     "Choices, measured",
     choices.QUESTIONS,
-    summary=partial(summaries.across_rigs, choices.QUESTIONS),
+    summary=partial(summaries.summarise_differences, choices.QUESTIONS),
 )
 RATES = Plan(
     "rates",
@@ -60,7 +60,7 @@ RATES = Plan(
     rates.FIGURES,
     Contest(rates.RIVALS_PART, rates.RATE_POINTS, rates.RIVALS),
 )
-EFFECTS = Plan("effects", "Effects, measured", effects.QUESTIONS, summary=summaries.without_each_effect)
+EFFECTS = Plan("effects", "Effects, measured", effects.QUESTIONS, summary=summaries.summarise_effects)
 CURVE = Plan(
     "curve",
     "What accuracy costs in time, measured",

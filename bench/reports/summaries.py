@@ -12,7 +12,7 @@ from ..tables.columns import COLUMNS, markdown
 from ..tables.differences import BYTES, CPU, MOVING, Differences, Measure, differences
 
 
-def against_baseline(results: Sequence[RigResults]) -> list[str]:
+def summarise_gains(results: Sequence[RigResults]) -> list[str]:
     """DecoGS against the baseline, rig by rig: what the paper claims, as ratios."""
     rows = [
         [result.bench.name, variant.description, *_comparison(result, variant)]
@@ -45,7 +45,7 @@ def _ratio(a: float, b: float, form: str) -> str:
     return f"{a:{form}} / {b:{form}}" + (f" = 1/{b / a:.1f}" if a > 0 and b > 0 else "")
 
 
-def across_rigs(questions: Sequence[Question], results: Sequence[RigResults]) -> list[str]:
+def summarise_differences(questions: Sequence[Question], results: Sequence[RigResults]) -> list[str]:
     """A summary of all questions: what each row has more or less than its reference, rig by rig; bold where clear."""
     shown = (MOVING, BYTES, CPU)
     rows = []
@@ -75,7 +75,7 @@ def _cell(found: Differences | None, measure: Measure) -> str:
     return f"**{text}**" if measure.is_clear(difference) else text
 
 
-def without_each_effect(results: Sequence[RigResults]) -> list[str]:
+def summarise_effects(results: Sequence[RigResults]) -> list[str]:
     """Scene by effect: what PSNR loses without an effect, dB, whole picture / dynamic region, colours aligned."""
     rows = [[name, *(_loss(result, variant) for result in results)] for name, variant in effects.WITHOUT.items()]
     return [

@@ -70,7 +70,7 @@ def _in_units(figure: Estimate | None, units: float) -> Estimate | None:
     return Estimate(units * figure.mean, None if figure.error is None else units * figure.error)
 
 
-def front(points: Sequence[Point], cost: Axis) -> list[Point]:
+def find_front(points: Sequence[Point], cost: Axis) -> list[Point]:
     """The points that no other one beats in both cost and quality, from the cheapest to the dearest; by their means."""
     known = []
     for place, point in enumerate(points):

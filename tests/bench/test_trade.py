@@ -11,7 +11,7 @@ import pytest
 from decogs.bench.estimates import Estimate
 from decogs.bench.questions.curve import PRESET_ROWS, QUESTIONS
 from decogs.bench.questions.variants import Question, Variant, settings_of
-from decogs.bench.reports.trade import COSTS, QUALITY, Axis, Point, front, points_of, shown_range
+from decogs.bench.reports.trade import COSTS, QUALITY, Axis, Point, find_front, points_of, shown_range
 from decogs.bench.runs.results import RigResults
 from decogs.bench.runs.rig_bench import RigBench
 from decogs.bench.runs.run import BenchOptions
@@ -27,17 +27,17 @@ def at(cost: float | None, quality: float | None, axis: Axis = CPU, family: str 
 
 def test_the_front_leaves_out_what_another_point_beats() -> None:
     points = [at(4.0, 31.0), at(1.0, 28.0), at(2.0, 27.5), at(2.0, 30.0), at(8.0, 31.0), at(None, 40.0), at(0.1, None)]
-    assert front(points, CPU) == [points[1], points[3], points[0]]
+    assert find_front(points, CPU) == [points[1], points[3], points[0]]
 
 
 def test_of_the_same_price_the_better_and_of_the_same_point_the_first() -> None:
     points = [at(1.0, 28.0), at(1.0, 29.0), at(1.0, 29.0, family="other")]
-    assert front(points, CPU) == [points[1]]
+    assert find_front(points, CPU) == [points[1]]
 
 
 def test_more_frames_a_second_are_cheaper() -> None:
     points = [at(10.0, 31.0, FPS), at(40.0, 28.0, FPS), at(5.0, 30.0, FPS)]
-    assert front(points, FPS) == [points[1], points[0]]
+    assert find_front(points, FPS) == [points[1], points[0]]
 
 
 def test_a_plot_is_not_pressed_together_by_what_is_far_below() -> None:
