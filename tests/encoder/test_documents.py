@@ -99,11 +99,10 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
         monkeypatch.setitem(PRESETS, name, short)
     monkeypatch.chdir(tmp_path)
     assert encode_main(["rig_dir", "-o", "scene.dgs", "--effects", "motion"]) == 0
-    for name, document in (("pose.json", "free-cameras.md"), ("bullet.json", "cameras.md"), ("edits.toml", "edit.md")):
-        kind = Path(name).suffix[1:]
-        shown = re.search(rf"```{kind}\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
-        assert shown is not None
-        Path(name).write_text(shown[1])
+    for document, names in (("cameras.md", ["pose.json", "bullet.json"]), ("edit.md", ["edits.toml"])):
+        shown = re.findall(r"```(?:json|toml)\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
+        for name, text in zip(names, shown, strict=True):
+            Path(name).write_text(text)
     return tmp_path
 
 
