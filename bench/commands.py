@@ -8,9 +8,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.formats.command_line import Parser, number, number_of_threads, run, warn_as, whole_number
-from decogs.formats.frame_ranges import frame_range
-from decogs.formats.unicode_forms import composed
+from decogs.formats.cli.command_line import Parser, number, number_of_threads, run, warn_as, whole_number
+from decogs.formats.files.unicode_forms import composed
+from decogs.formats.frames.ranges import frame_range
 
 
 def bench_main(arguments: Sequence[str] | None = None) -> int:

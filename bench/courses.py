@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.encoder.output.convergence_log import ConvergenceLog
-from decogs.formats.outputs import write_whole
+from decogs.formats.files.outputs import write_whole
 
 from .estimates import rounded
 

@@ -17,24 +17,24 @@ from typing import Any
 import cv2
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
+from decogs.encoder.backends.psnr import psnr_of
 from decogs.encoder.encoding import encode
-from decogs.encoder.input.ingest import frame_span
-from decogs.encoder.job import EncodeJob
+from decogs.encoder.job.job import EncodeJob
 from decogs.encoder.output.observer import EncodeObserver
-from decogs.encoder.psnr import psnr_of
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.presets import preset
 from decogs.formats.cameras import scale_camera
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames
-from decogs.formats.outputs import write_whole
+from decogs.formats.files.outputs import write_whole
+from decogs.formats.frames.ranges import Frames
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
-from decogs.formats.threads import thread_count
+from decogs.formats.system.threads import thread_count
+from decogs.rig.pictures.ingest import frame_span
 
 from .estimates import rounded
 from .machine import code_version, machine_facts

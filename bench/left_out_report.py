@@ -11,7 +11,7 @@ from typing import TextIO
 
 from decogs.encoder.output.observer import EncodeObserver
 from decogs.encoder.output.reports import FrameReport
-from decogs.formats.outputs import Output, check_folder_name, check_outputs, write_whole
+from decogs.formats.files.outputs import Output, check_folder_name, check_outputs, write_whole
 from decogs.formats.rigs import files_of
 
 from .left_out import LeftOut, LeftOutOptions, RigViewpoints

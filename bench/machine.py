@@ -16,8 +16,8 @@ _NOT_IN_A_STREAM = (
     "encoder/commands.py",
     "encoder/output/progress.py",
     "decoder/commands.py",
-    "decoder/stream_info_text.py",
-    "formats/command_line.py",
+    "decoder/reading/info_text.py",
+    "formats/cli/command_line.py",
 )
 _CODE = (".py", ".cpp", ".h")
 

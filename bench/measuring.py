@@ -11,10 +11,10 @@ from statistics import fmean, median
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.views import render_view
-from decogs.encoder.psnr import psnr_of
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.rendering.views import render_view
+from decogs.encoder.backends.psnr import psnr_of
 from decogs.formats.splats import Splats
 
 from .metrics import BytePicture, Mask, aligned, mean_over, psnr, square_error_map, ssim_map, total_variation

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.encoder.psnr import psnr_of
+from decogs.encoder.backends.psnr import psnr_of
 
 BytePicture = NDArray[np.uint8]
 """(H, W, 3) RGB, display-referred."""

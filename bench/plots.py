@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError
-from decogs.formats.extras import install
+from decogs.formats.system.extras import install
 
 from .courses import Course
 from .rival_runs import RatePoint

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.decoder.picture_output import to_8bit
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.rasterise.reference import render_reference
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import through_lens, view_plan
-from decogs.encoder.psnr import psnr_of
-from decogs.formats.outputs import write_whole
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import through_lens, view_plan
+from decogs.encoder.backends.psnr import psnr_of
+from decogs.formats.files.outputs import write_whole
 from decogs.formats.splats import FloatArray, Splats
 
 from .estimates import rounded

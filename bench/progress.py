@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TextIO
 
-from decogs.formats.progress import open_progress
+from decogs.formats.cli.progress import open_progress
 
 from .runs import Run
 

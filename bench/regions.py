@@ -16,14 +16,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.output.pictures import to_8bit
 from decogs.encoder.change.masks import difference_mask, dilate
-from decogs.encoder.input.ingest import display_referred
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import RigError
-from decogs.formats.pictures import read_picture
+from decogs.formats.pictures.reading import read_picture
 from decogs.formats.rigs import Rig, read_frames
+from decogs.rig.pictures.ingest import display_referred
 
 from .metrics import BytePicture, Mask
 from .timing import retimed

@@ -16,10 +16,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from decogs.formats.callbacks import OnWarning
 from decogs.formats.errors import TrainingError, UsageError
-from decogs.formats.outputs import Output, check_folder_name, check_outputs, write_whole
+from decogs.formats.files.outputs import Output, check_folder_name, check_outputs, write_whole
 from decogs.formats.rigs import files_of
+from decogs.formats.system.callbacks import OnWarning
 
 from . import choices, curve, differences, effects, paper, rates, summaries
 from .machine import code_version, machine_facts

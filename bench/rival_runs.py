@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
-from decogs.decoder.stream import Stream, open_stream
-from decogs.formats.outputs import write_whole
+from decogs.decoder.reading.stream import Stream, open_stream
+from decogs.formats.files.outputs import write_whole
 from decogs.formats.splats import Splats
 
 from .estimates import rounded

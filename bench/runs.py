@@ -29,13 +29,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.decoder.stream import open_stream
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.analysis import AUTO, Decision, with_effects
 from decogs.encoder.analysis.analyse import analyse
 from decogs.encoder.frame.context import Context
 from decogs.encoder.input.imported_keyframe import read_keyframe
-from decogs.encoder.input.ingest import Ingest, check_held_out, frame_span
 from decogs.encoder.output.convergence_log import ConvergenceLog
 from decogs.encoder.output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from decogs.encoder.settings.effects import PRESET_EFFECTS
@@ -43,11 +42,12 @@ from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames
-from decogs.formats.outputs import GrowingFile, write_whole
+from decogs.formats.files.outputs import GrowingFile, write_whole
+from decogs.formats.frames.ranges import Frames
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
-from decogs.formats.threads import thread_count
+from decogs.formats.system.threads import thread_count
+from decogs.rig.pictures.ingest import Ingest, check_held_out, frame_span
 
 from .courses import Course, course, read_course, recorded_course, write_course
 from .estimates import rounded

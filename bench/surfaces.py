@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.decoder.lens import Redistortion
-from decogs.decoder.views import render_view
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.cameras.lens import Redistortion
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre, in_picture, project, ray_slopes, turned
 from decogs.formats.splats import Splats, take_splats
 

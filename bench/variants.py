@@ -8,9 +8,9 @@ from typing import Any
 
 from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.coding.rate_control import with_quality
+from decogs.encoder.job.switches import Switches, with_switches
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.presets import preset
-from decogs.encoder.switches import Switches, with_switches
 from decogs.formats.errors import UsageError
 
 

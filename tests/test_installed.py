@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from decogs.formats.kernels import INSTRUCTION_SETS, kernel_path
+from decogs.formats.system.kernels import INSTRUCTION_SETS, kernel_path
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "encoder", "bench")
+LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "bench")
 INSTALLED = metadata.distribution("decogs")
 
 
@@ -32,7 +32,9 @@ def instruction_sets() -> list[str]:
     """All in the development environment; pip compiles the plain one and the widest that this machine has."""
     if is_editable():
         return ["base", "avx2", "avx512"] if platform.machine() in ("x86_64", "AMD64") else ["base"]
-    there = [name for name in INSTRUCTION_SETS if kernel_path(layer_folder("formats"), "_ycbcr", name).exists()]
+    there = [
+        name for name in INSTRUCTION_SETS if kernel_path(layer_folder("formats") / "colours", "_ycbcr", name).exists()
+    ]
     return there or ["base"]
 
 
@@ -86,7 +88,7 @@ def test_the_player_is_installed_as_it_was_built() -> None:
 @pytest.mark.parametrize(
     ("layer", "package", "stem", "function"),
     [
-        ("formats", ".", "_ycbcr", "decogs_rgb_of_ycbcr"),
+        ("formats", "colours", "_ycbcr", "decogs_rgb_of_ycbcr"),
         ("decoder", "rasterise", "_forward", "decogs_render"),
         ("encoder", "backends/cpu", "_training", "decogs_backward"),
         ("encoder", "methods/transformation_cache", "_cache", "decogs_cache_step"),

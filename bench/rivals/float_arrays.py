@@ -11,7 +11,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from decogs.codec.state import Rows
+from decogs.codec.scene.state import Rows
 from decogs.formats.splats import FloatArray, Splats
 
 from .sequences import Frames, SceneFrame, Sizes, numbered, write_numbered

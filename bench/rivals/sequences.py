@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from decogs.codec.state import Rows
+from decogs.codec.scene.state import Rows
 from decogs.formats.splats import Splats
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.state import Rows
+from decogs.codec.scene.state import Rows
 from decogs.formats.errors import UsageError
 from decogs.formats.splat_files.splat import Splat, records
 from decogs.formats.splats import Splats

@@ -7,16 +7,16 @@ from itertools import count
 
 import numpy as np
 
-from decogs.codec.corrections import CorrectedCameras
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import Lattice, dequantise, quantise
-from decogs.codec.sound import SoundTrack
-from decogs.codec.state import ARRAYS, Attributes, State, all_rows
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.packets.sound import SoundTrack
+from decogs.codec.scene.lattice import Lattice, dequantise, quantise
+from decogs.codec.scene.state import ARRAYS, Attributes, State, all_rows
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError, UsageError
-from decogs.formats.frame_rates import is_same_rate
-from decogs.formats.similarity import NO_CHANGE, Similarity, transformed_camera, transformed_splats
+from decogs.formats.frames.rates import is_same_rate
+from decogs.formats.geometry.similarity import NO_CHANGE, Similarity, transformed_camera, transformed_splats
 from decogs.formats.splats import Splats
 
 from .cameras import renamed_corrections, with_cameras, with_effects_of

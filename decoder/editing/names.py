@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from decogs.codec.morton import morton_order
-from decogs.codec.state import Rows, State, take_rows
+from decogs.codec.scene.morton import morton_order
+from decogs.codec.scene.state import Rows, State, take_rows
 
 OWN_IDS = 1 << 52
 """Below this are the ids of the stream that is edited; those of others are above, and get new ones."""

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NoReturn
 
-from decogs.formats.command_line import Parser
+from decogs.formats.cli.command_line import Parser
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs.fields import read_toml
 

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.state import Rows, State, same_scene
+from decogs.codec.scene.state import Rows, State, same_scene
 
 from .take import Frame, Take
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
+from decogs.codec.packets.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
@@ -93,7 +93,7 @@ def played(take: Take, plays: Sequence[Played], fps: float) -> Hear:
 
 def with_file(take: Take, path: Path, channels: int, begin: float, fps: float) -> Hear:
     """The take's sound and, as one more track, that of a file from ``begin`` seconds on."""
-    from decogs.formats.soundtracks import read_samples
+    from decogs.formats.sound.tracks import read_samples
 
     samples = read_samples(path, channels, begin=begin)
     first = next(samples, None)

@@ -9,18 +9,18 @@ from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
 
-from decogs.codec.corrections import Corrections
-from decogs.codec.header import StreamHeader
-from decogs.codec.state import State, same_scene
-from decogs.formats.callbacks import OnWarning
-from decogs.formats.container import Packet, PacketKind
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import Corrections
+from decogs.codec.scene.state import State, same_scene
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.reasons import Reason
+from decogs.formats.stream.container import Packet, PacketKind
+from decogs.formats.stream.reasons import Reason
+from decogs.formats.system.callbacks import OnWarning
 
-from ..frame import DecodedFrame
 from ..frame_choice import open_chosen
+from ..reading.frame import DecodedFrame
+from ..reading.stream import Stream
 from ..sound.packets import FrameSound
-from ..stream import Stream
 from .names import OWN_IDS
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
-from decogs.formats.kernels import checked_handle
 from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.system.kernels import checked_handle
 
 from .native import (
     MAX_PAIRS,

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
 from decogs.formats.splats import FloatArray
 
 from .packets import FrameSound
 
 if TYPE_CHECKING:
-    from decogs.formats.opus import OpusDecoder
+    from decogs.formats.sound.opus import OpusDecoder
 
 
 class HasSound(Protocol):
@@ -78,7 +78,7 @@ class _Voice:
 
         Blocks that no sample of the frame depends on are passed over, however many there are.
         """
-        from decogs.formats.opus import OpusDecoder
+        from decogs.formats.sound.opus import OpusDecoder
 
         blocks: list[tuple[int, bytes]] = []
         for packet in packets:

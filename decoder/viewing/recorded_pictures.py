@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.colour import srgb_from_linear
+from decogs.codec.header.header import StreamHeader
+from decogs.formats.colours.srgb import srgb_from_linear
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.pictures import Picture
+from decogs.formats.pictures.reading import Picture
 
 if TYPE_CHECKING:
     from decogs.formats.rigs import FrameSource

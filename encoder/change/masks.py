@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
+from decogs.rig.parallel import side_by_side
+from decogs.rig.pictures.dropouts import FROZEN, blankness, repeats
+from decogs.rig.pictures.noise import frame_noise
 
-from ..input.dropouts import FROZEN, blankness, repeats
-from ..parallel import side_by_side
 from ..settings.frame import MaskSettings
-from .noise import frame_noise
 
 BoolArray = NDArray[np.bool_]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from decogs.codec.corrections import CorrectedCameras, Corrections, write_corrections
-from decogs.codec.deltas import Delta, apply_delta
-from decogs.codec.frame_payload import split_payload
-from decogs.codec.header import StreamHeader
-from decogs.codec.state import State
-from decogs.codec.syntax import Coded, payload_costs, write_delta, write_key, write_skip
-from decogs.formats.container import Packet, PacketKind
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras, Corrections, write_corrections
+from decogs.codec.packets.deltas import Delta, apply_delta
+from decogs.codec.packets.frame_payload import split_payload
+from decogs.codec.packets.syntax import Coded, payload_costs, write_delta, write_key, write_skip
+from decogs.codec.scene.state import State
+from decogs.formats.stream.container import Packet, PacketKind
 
 from ..settings.encode import EncodeSettings
 from ..settings.frame import SignificanceSettings

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decogs.codec.deltas import apply_delta
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import dequantise
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import State, same_values
-from decogs.formats.container import Packet, PacketKind
+from decogs.codec.scene.lattice import dequantise
+from decogs.codec.scene.state import State, same_values
 from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.stream.container import Packet, PacketKind
 
 from ..settings.frame import SignificanceSettings
 from ..training.method import TrainedFrame

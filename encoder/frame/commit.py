@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from decogs.codec.state import same_values
+from decogs.codec.scene.state import same_values
 
 from ..change.masks import MaskMemory
 from ..coding.scene import Scene

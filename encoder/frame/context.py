@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats
+from decogs.rig.pictures.ingest import Ingest
 
 from ..backends import BLACK, TrainingKernel, training_kernel
 from ..backends.scene_views import SceneViews
 from ..input.compensation import Corrector, RenderView, corrector_of
-from ..input.ingest import Ingest
 from ..methods import method_of
 from ..settings.encode import EncodeSettings
 from ..training.method import FrameMethod

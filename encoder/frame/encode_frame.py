@@ -11,18 +11,18 @@ from typing import Protocol
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import dequantise
-from decogs.codec.state import State, changed_between
-from decogs.formats.container import Packet, PacketKind
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import dequantise
+from decogs.codec.scene.state import State, changed_between
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats
+from decogs.formats.stream.container import Packet, PacketKind
+from decogs.rig.pictures.ingest import RigFrame, scene_extent
 
 from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
 from ..input.compensation.frame import compensate, find_corrections, match_colours
-from ..input.ingest import RigFrame, scene_extent
 from ..keyframe.first_frame import FirstFrame, train_first_frame
 from ..output.reports import OnKeyframeStep
 from ..stopwatch import Stopwatch

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from decogs.codec.corrections import Corrections
+from decogs.codec.packets.corrections import Corrections
 from decogs.formats.splats import FloatArray
+from decogs.rig.pictures.ingest import RigFrame
 
 from ..change.cuts import shows_another_scene
 from ..change.flashes import MAX_FLASH_FRAMES, changes_most, is_missed, matches, may_be_flash
 from ..change.masks import PixelChange, usable_views
 from ..coding.scene import Scene
-from ..input.ingest import RigFrame
 from ..stopwatch import Stopwatch
 from .context import Context
 from .memory import BeforeFlash, Memory

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from decogs.codec.state import State
+from decogs.codec.scene.state import State
+from decogs.rig.pictures.ingest import RigFrame
+from decogs.rig.stage.stage import Stage, find_stage
 
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
 from ..input.compensation import CorrectionMemory
-from ..input.ingest import RigFrame
-from ..keyframe.backdrop.stage import Stage, find_stage
 from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion

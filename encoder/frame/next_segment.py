@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decogs.codec.state import changed_between
+from decogs.codec.scene.state import changed_between
+from decogs.rig.pictures.ingest import RigFrame
 
 from ..backends.scene_views import SceneViews
 from ..coding.scene import Scene
-from ..input.ingest import RigFrame
 from ..settings.encode import EncodeSettings
 from .context import Context
 from .cross_fade import CrossFade

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.rig.stage.stage import BackdropStage, Stage
+
 from ..analysis.enabled import enabled_effects
 from ..backends import FixedView
 from ..change.flashes import changes_most
@@ -15,7 +17,6 @@ from ..change.masks import FrameMask, full_masks, usable_views
 from ..change.selection import select, view_evidence
 from ..coding.rate_control import scaled_significance
 from ..coding.scene import Scene
-from ..keyframe.backdrop.stage import BackdropStage, Stage
 from ..settings.frame import FrameSettings, SelectionSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import missed_share

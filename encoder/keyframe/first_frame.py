@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from decogs.codec.corrections import Corrections
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import Lattice, quantise
-from decogs.codec.state import State
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import Corrections
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.scene.lattice import Lattice, quantise
+from decogs.codec.scene.state import State
 from decogs.formats.errors import RigError
+from decogs.rig.pictures.dropouts import BLACK, blankness
+from decogs.rig.pictures.ingest import Ingest, RigFrame, View
+from decogs.rig.stage.stage import PlainStage, Stage, find_stage
 
 from ..backends import TrainingKernel
 from ..input.compensation import Corrector
 from ..input.compensation.frame import match_colours
 from ..input.compensation.matching import find_colours
-from ..input.dropouts import BLACK, blankness
-from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import StoppingRule
-from .backdrop.stage import PlainStage, Stage, find_stage
 from .first_points import FirstPoints, first_points
 from .harmonics import trim_sh_degree
 from .large_pictures import fit_to_pictures

@@ -16,17 +16,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
-from decogs.codec.state import Attributes
-from decogs.decoder.resizing import resized, resized_plane
+from decogs.codec.scene.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.scene.state import Attributes
+from decogs.decoder.cameras.resizing import resized, resized_plane
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, join_splats, round_splats, sigmoid, take_splats
+from decogs.rig.pictures.ingest import View, scene_extent
+from decogs.rig.stage.stage import Stage
 
 from ..backends import Colour, LossValue, RenderedPicture, TrainingKernel
+from ..backends.psnr import psnr_of
 from ..input.compensation import Corrector
-from ..input.ingest import View, scene_extent
 from ..output.reports import OnKeyframeStep
-from ..psnr import psnr_of
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from ..training.densification import clone_and_split
@@ -35,7 +36,6 @@ from ..training.rate_distortion import cheapest
 from ..training.schedule import WHOLE, StoppingRule, TargetWatch
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
-from .backdrop.stage import Stage
 from .border_extrapolation import border_extrapolation
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints

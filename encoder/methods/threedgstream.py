@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.rotations import rotation_matrices
+from decogs.formats.geometry.rotations import rotation_matrices
 from decogs.formats.splats import Splats, join_splats, logit, sigmoid, take_splats
 
 from ..backends import ATTRIBUTES, SplatGradients, gradients_like

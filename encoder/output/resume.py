@@ -15,8 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.container import (
+from decogs.codec.header.header import StreamHeader
+from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.files.regular_files import open_regular
+from decogs.formats.stream.container import (
     FRAME_KINDS,
     IndexEntry,
     Packet,
@@ -25,10 +27,8 @@ from decogs.formats.container import (
     check_count,
     read_packet_at,
 )
-from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.regular_files import open_regular
+from decogs.rig.pictures.recording_digests import difference
 
-from ..input.recordings import difference
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
 

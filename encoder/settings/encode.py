@@ -8,9 +8,9 @@ from functools import reduce
 from operator import attrgetter, getitem
 from typing import Annotated, Any
 
-from decogs.codec.entropy import DEFAULT_LEVEL
-from decogs.formats.container import MAX_FRAME
+from decogs.codec.coding.entropy import DEFAULT_LEVEL
 from decogs.formats.errors import UsageError
+from decogs.formats.stream.container import MAX_FRAME
 
 from .checked import Bytes, Checked, OneOf, Within
 from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS, CorrectionSettings

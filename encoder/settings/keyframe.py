@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
+from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS
 
 from .checked import Checked, Count, Loss, Share, Steps, Within
 from .optimiser import LearningRates

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from decogs.codec.corrections import CorrectedCameras, Corrections
-from decogs.codec.digest import digest
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import Lattice, default_lattice
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras, Corrections
 from decogs.codec.reconstruct import reconstruct
-from decogs.formats.container import Packet
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import Lattice, default_lattice
 from decogs.formats.errors import RigError, StreamError
 from decogs.formats.splats import sh_degree_of
+from decogs.formats.stream.container import Packet
+from decogs.rig.parallel import ahead
+from decogs.rig.pictures.ingest import RigFrame
+from decogs.rig.pictures.recording_digests import difference, recorded_in
 
 from ..coding.stream_header import stream_header
 from ..frame.context import Context
@@ -20,14 +23,11 @@ from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame, train
 from ..frame.next_segment import NextSegment, train_next_segment, with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
-from ..input.ingest import RigFrame
-from ..input.recordings import difference, recorded_in
 from ..keyframe.first_frame import FirstFrame
 from ..keyframe.import_splats import import_splats
 from ..output.reports import FrameReport
 from ..output.resume import Interrupted
 from ..output.stream_output import StreamOutput
-from ..parallel import ahead
 from ..stopwatch import Stopwatch
 from .frame_report import FrameReporter
 from .options import RunOptions

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import fmean
 
-from decogs.decoder.views import render_view
-from decogs.formats.callbacks import OnWarning
-from decogs.formats.container import PacketKind
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.splats import FloatArray
+from decogs.formats.stream.container import PacketKind
+from decogs.formats.system.callbacks import OnWarning
+from decogs.rig.pictures.ingest import display_referred
 
+from ..backends.psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
 from ..change.masks import usable_views
 from ..frame.context import Context
 from ..frame.encode_frame import Encoded
-from ..input.ingest import display_referred
 from ..output.footage import matches, warning_of
 from ..output.reports import FrameReport
-from ..psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
 from ..stopwatch import Stopwatch
 
 _STAGE = "measure"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.splats import Splats, empty_splats, take_splats
+from decogs.rig.parallel import side_by_side
 
-from ..parallel import side_by_side
 from .frame_training import FrameTraining
 from .schedule import SearchTime, StepSchedule, search_of, search_seconds
 from .seeding import SearchView, enough_missed_pixels, find_seeds, missed_pixels

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats
+from decogs.rig.parallel import side_by_side
+from decogs.rig.pictures.ingest import View
 
 from ..backends import Drawable, Gradients, ViewGradients
 from ..change.masks import FrameMask, usable_views
-from ..input.ingest import View
-from ..parallel import side_by_side
 from ..settings.frame import FocusWeights, FrameSettings
 from .losses import PhotometricLoss, StepLosses, focus_loss
 from .method import FrameInput, TrainedFrame, TrainingContext

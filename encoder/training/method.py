@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray, Splats
+from decogs.rig.pictures.ingest import View, scene_extent
 
 from ..backends import FixedView, TrainingKernel
 from ..change.masks import FrameMask
-from ..input.ingest import View, scene_extent
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
 from .schedule import WHOLE, StoppingRule

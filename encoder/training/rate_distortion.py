@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.state import IntArray
+from decogs.codec.scene.state import IntArray
 from decogs.formats.splats import FloatArray
 
 _TABLE_ROUNDS = 4

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from ..errors import RigError
-from ..pictures import PICTURE_KINDS, PICTURE_SUFFIXES
+from ..pictures.reading import PICTURE_KINDS, PICTURE_SUFFIXES
 from ..rigs.sources import pictures_in, refuse_unknown_kinds
 from .places import places_of_cameras
 

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
+from ..pictures.reading import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
 from ..rigs import Rig
 from ..rigs.rig import more
 from ..rigs.sources import CutSource, FrameSource, PictureSource, list_folder, pictures_in, refuse_unknown_kinds
-from ..videos import VIDEO_SUFFIXES, VideoSource, open_video
+from ..videos.reading import VIDEO_SUFFIXES, VideoSource, open_video
 from .numbering import mattes_of_recording, mattes_of_stream
 from .places import places_of_cameras
 

@@ -8,10 +8,10 @@ from collections.abc import Collection
 from pathlib import Path
 
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES
+from ..files.unicode_forms import composed
+from ..pictures.reading import PICTURE_SUFFIXES
 from ..rigs.sources import list_folder, refuse_unknown_kinds
-from ..unicode_forms import composed
-from ..videos import VIDEO_SUFFIXES
+from ..videos.reading import VIDEO_SUFFIXES
 
 
 def places_of_cameras(folder: Path, names: Collection[str], needed: Collection[str] = ()) -> dict[str, Path]:

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES
-from ..regular_files import open_regular
-from ..unicode_forms import as_it_lies, composed
-from ..videos import VIDEO_SUFFIXES
+from ..files.regular_files import open_regular
+from ..files.unicode_forms import as_it_lies, composed
+from ..pictures.reading import PICTURE_SUFFIXES
+from ..videos.reading import VIDEO_SUFFIXES
 from .calibration import calibrated_camera, quaternion_pose
 from .rig import Points, Rig, assemble_rig
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, open_source, refuse_unknown_kinds

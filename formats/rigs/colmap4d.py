@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
 from ..errors import RigError
-from ..unicode_forms import as_it_lies
+from ..files.unicode_forms import as_it_lies
 from .colmap import (
     ModelBytes,
     PosedImage,

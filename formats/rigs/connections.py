@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 import av
 
 from ..errors import RigError
-from ..regular_files import open_regular
-from ..videos import ANY_TEXT, DEMUXERS, pictures_of
+from ..files.regular_files import open_regular
+from ..videos.reading import ANY_TEXT, DEMUXERS, pictures_of
 from .sender_times import StampsOfFile, StampsOfSender
 
 if TYPE_CHECKING:

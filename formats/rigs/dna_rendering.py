@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..picture_headers import PNG_SIGNATURE, read_header
-from ..pictures import Picture, decode_picture
+from ..pictures.headers import PNG_SIGNATURE, read_header
+from ..pictures.reading import Picture, decode_picture
 from .calibration import invert_pose, opencv_camera, rigid_pose
 from .hdf5 import child, opened, values
 from .rig import Rig, assemble_rig

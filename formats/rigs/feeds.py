@@ -9,7 +9,7 @@ from typing import Protocol
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..pictures import Picture, picture_facts, read_picture
+from ..pictures.reading import Picture, picture_facts, read_picture
 
 LACKING = "no picture of it came"
 DAMAGED = "its picture is damaged"

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..unicode_forms import composed
+from ..files.unicode_forms import composed
 from .colmap import cameras_of, find_model, model_files, read_images, read_lenses, read_points, same_pose
 from .named_frames import usual_folders
 from .rig import Rig, assemble_rig

@@ -20,9 +20,9 @@ from pathlib import Path
 
 from ..cameras import Camera
 from ..errors import RecordingEnded, RigError
-from ..pictures import PICTURE_KINDS, PICTURE_SUFFIXES, Picture
-from ..unicode_forms import composed
-from ..videos import VIDEO_SUFFIXES
+from ..files.unicode_forms import composed
+from ..pictures.reading import PICTURE_KINDS, PICTURE_SUFFIXES, Picture
+from ..videos.reading import VIDEO_SUFFIXES
 from .connections import GrowingVideo, SendingCamera, check_address
 from .detection import reader_at
 from .feeds import Feed, FolderFeed

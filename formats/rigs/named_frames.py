@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import RigError
-from ..unicode_forms import composed
+from ..files.unicode_forms import composed
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, refuse_unknown_kinds
 
 _CAM = "(?i:cam(?:era)?)[ _-]?"

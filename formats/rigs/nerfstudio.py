@@ -23,8 +23,8 @@ import numpy as np
 
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES
-from ..unicode_forms import as_it_lies, composed
+from ..files.unicode_forms import as_it_lies, composed
+from ..pictures.reading import PICTURE_SUFFIXES
 from .calibration import calibrated_camera, invert_pose, rigid_pose
 from .fields import Fields, read_json
 from .rig import Rig, assemble_rig

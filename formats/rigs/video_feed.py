@@ -20,8 +20,8 @@ import av
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..pictures import Picture
-from ..videos import VideoSource, shown_as
+from ..pictures.reading import Picture
+from ..videos.reading import VideoSource, shown_as
 from .feeds import DAMAGED, LACKING, OVERRUN, of_another_size
 from .sender_times import Placed, SharedClock
 

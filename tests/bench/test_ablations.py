@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from decogs.bench.ablations import DECOGS, PAPER
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.selection import SELECTION_RULES
+from decogs.encoder.job.switches import ablate
 from decogs.encoder.methods import FRAME_METHODS, method_of
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
-from decogs.encoder.switches import ablate
 from decogs.encoder.training.method import FrameMethod, FrameTrainer
 from decogs.formats.errors import UsageError
 from one_frame import BOX, Case, bits, moved_square, train, training_context

@@ -29,11 +29,11 @@ from decogs.bench.rivals.fourdgs import FourDGS
 from decogs.bench.rivals.sequences import FilePerFrame, Rival
 from decogs.bench.runs import BenchOptions
 from decogs.bench.variants import Question, Variant
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import TrainingError, UsageError
-from decogs.formats.extras import install
 from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splat_files.spz import Spz
+from decogs.formats.system.extras import install
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

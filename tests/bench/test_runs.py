@@ -17,9 +17,9 @@ from decogs.bench.metrics import psnr, square_error_map, total_variation
 from decogs.bench.regions import find_regions
 from decogs.bench.runs import KEYFRAME, BenchOptions, RigBench, read_run
 from decogs.bench.variants import Variant
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
 

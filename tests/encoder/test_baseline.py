@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 
 import decogs.encoder.frame.plan as plan
-from decogs.codec.digest import digest
-from decogs.decoder.stream import open_stream
+from decogs.codec.scene.digest import digest
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.methods import threedgstream
 from decogs.encoder.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
 from decogs.encoder.training.method import TrainedFrame
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats, join_splats, take_splats
+from decogs.formats.stream.container import PacketKind
+from decogs.rig.pictures.ingest import Ingest
 from one_frame import train, training_context
 
 BOX = (np.array([-3.5, -3.0, -1.0]), np.array([3.5, 3.0, 1.0]))

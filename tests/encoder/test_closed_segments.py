@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import decogs.encoder.coding.scene as scene
-from decogs.codec.corrections import Correction
-from decogs.codec.digest import digest
-from decogs.codec.state import ARRAYS
-from decogs.decoder.stream import open_stream
+from decogs.codec.packets.corrections import Correction
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.state import ARRAYS
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, Switches, Targets
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.coding.rate_control import RateControl, with_budget
 from decogs.encoder.settings.frame import SignificanceSettings
-from decogs.formats.container import FRAME_KINDS, PacketKind
 from decogs.formats.errors import UsageError
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind
 from encode_rig import encode_rig
 from packets import iterate_packets
 

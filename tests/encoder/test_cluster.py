@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from decogs.decoder.exporting import export
+from decogs.decoder.exporting.exporting import export
 from decogs.encoder import EncodeJob
 from decogs.encoder.cluster import ray_engine
 from decogs.encoder.cluster.encoding import encode_on_cluster

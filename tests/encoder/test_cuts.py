@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 import decogs.encoder.frame.encode_frame as encode_frame
-from decogs.codec.digest import digest
-from decogs.decoder.picture_output import to_8bit
+from decogs.codec.scene.digest import digest
+from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import render
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.change.cuts import shows_another_scene
 from decogs.encoder.commands import encode_main
 from decogs.encoder.keyframe.first_frame import train_first_frame
 from decogs.encoder.settings.effects import CorrectionSettings
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import join_splats
+from decogs.formats.stream.container import PacketKind
 
 
 def picture(seed: int, *, noise: float = 0.0) -> np.ndarray:

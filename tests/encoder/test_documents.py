@@ -25,13 +25,13 @@ from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.calibration.commands import calibrate_main
 from decogs.encoder.commands import encode_main, join_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
-from decogs.encoder.synchronisation.commands import sync_main
 from decogs.formats.cameras import project
-from decogs.formats.container import SIGNATURE
 from decogs.formats.rigs import open_rig
+from decogs.formats.stream.container import SIGNATURE
+from decogs.rig.calibration.commands import calibrate_main
+from decogs.rig.synchronisation.commands import sync_main
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import Switches
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
+from decogs.encoder.job.switches import with_selection
 from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.registry import Registry, anything, guarded
 from decogs.encoder.settings.frame import SelectionSettings
-from decogs.encoder.switches import with_selection
 from decogs.encoder.training.method import FrameMethod, TrainedFrame
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, take_splats

@@ -13,11 +13,11 @@ from decogs.encoder.change.flashes import MAX_FLASH_FRAMES, changes_most, matche
 from decogs.encoder.change.masks import MaskMemory, PixelChange
 from decogs.encoder.frame.events import Event, PendingFrame, what_happened
 from decogs.encoder.frame.memory import Memory
-from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.training.warm_start import Motion
+from decogs.rig.pictures.ingest import RigFrame
 
 MASKS = MaskSettings(threshold=10.0)
 DARK = np.random.default_rng(1).uniform(0.1, 0.4, (3, 5, 6)).astype(np.float32).repeat(8, 1).repeat(8, 2)

@@ -12,11 +12,11 @@ import pytest
 
 import decogs.encoder.frame.encode_frame as encode_frame
 import decogs.encoder.stream.encoder as stream_encoder
-from decogs.codec.corrections import Correction
-from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.state import ARRAYS, Attributes, State
-from decogs.decoder.hull import Hull
+from decogs.codec.packets.corrections import Correction
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.scene.lattice import default_lattice, quantise
+from decogs.codec.scene.state import ARRAYS, Attributes, State
+from decogs.decoder.subject.hull import Hull
 from decogs.encoder.change.masks import FrameMask, MaskMemory, PixelChange
 from decogs.encoder.coding.rate_control import RateControl
 from decogs.encoder.coding.scene import IDS_PER_SEGMENT, Scene
@@ -28,9 +28,6 @@ from decogs.encoder.frame.next_segment import NextSegment
 from decogs.encoder.frame.plan import FramePlan, Selection, light_only, plan_frame
 from decogs.encoder.frame.train import train_frame
 from decogs.encoder.input.compensation.colour import remove_gain
-from decogs.encoder.input.ingest import RigFrame
-from decogs.encoder.keyframe.backdrop.stage import PlainStage
-from decogs.encoder.keyframe.backdrop.subject import SubjectAlone
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
@@ -38,9 +35,12 @@ from decogs.encoder.stream.encoder import StreamEncoder
 from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.warm_start import Motion
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats
+from decogs.formats.stream.container import PacketKind
+from decogs.rig.pictures.ingest import RigFrame
+from decogs.rig.stage.stage import PlainStage
+from decogs.rig.stage.subject import SubjectAlone
 
 Stub: Any = SimpleNamespace
 DRAFT = preset("draft")

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise, quantise
+from decogs.codec.scene.lattice import dequantise, quantise
 from decogs.encoder.backends import Drawable
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.optimiser import drawn_splats
 from decogs.encoder.backends.cpu.stretch import stretches
-from decogs.encoder.input.ingest import Ingest, View, scene_extent
+from decogs.encoder.backends.psnr import mean_psnr, psnr_of
 from decogs.encoder.keyframe import train as keyframe
 from decogs.encoder.keyframe.first_points import FirstPoints
 from decogs.encoder.keyframe.large_pictures import PictureFit, PictureScale
@@ -25,13 +25,13 @@ from decogs.encoder.keyframe.train import (
     splats_from_points,
     train_keyframe,
 )
-from decogs.encoder.psnr import mean_psnr, psnr_of
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.training.schedule import StoppingRule
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
+from decogs.rig.pictures.ingest import Ingest, View, scene_extent
 
 SHORT = KeyframeSettings(iterations=60, cap=500, sh_degree=1, grow_every=10, validation_every=20, settle_iterations=5)
 

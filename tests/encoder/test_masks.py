@@ -20,9 +20,9 @@ from decogs.encoder.change.masks import (
     full_masks,
     remove_specks,
 )
-from decogs.encoder.change.noise import frame_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.errors import UsageError
+from decogs.rig.pictures.noise import frame_noise
 
 RNG = np.random.default_rng(7)
 

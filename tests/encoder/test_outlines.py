@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.input.mattes import outlines
-from decogs.encoder.input.mattes.chroma_key import key_axis, keyed
-from decogs.encoder.input.mattes.chroma_place import chroma_in_place
-from decogs.encoder.input.mattes.mattes import linear
+from decogs.rig.mattes import outlines
+from decogs.rig.mattes.chroma_key import key_axis, keyed
+from decogs.rig.mattes.chroma_place import chroma_in_place
+from decogs.rig.mattes.mattes import linear
 from stages.make import coded, light_on_backdrop, look, render
 from stages.scenes import STAGES, cameras, on_stage
 
@@ -101,6 +101,6 @@ def test_outlines_follow_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     picture, matte = on_green()
     halved = with_half_size_chroma(picture, stated=True)
     fitted = [iou(each, matte) for each in (picture, halved)]
-    monkeypatch.setattr("decogs.encoder.input.mattes.cutting.fitted", lambda picture, guess, free: guess)
+    monkeypatch.setattr("decogs.rig.mattes.cutting.fitted", lambda picture, guess, free: guess)
     guessed = [iou(each, matte) for each in (picture, halved)]
     assert min(np.subtract(fitted, guessed)) > 0.001  # measured: .981 from .973, and .959 from .954

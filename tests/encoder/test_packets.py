@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import CorrectedCameras, Correction
-from decogs.codec.digest import digest
-from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import default_lattice, dequantise, quantise
-from decogs.codec.syntax import refers_to_first
+from decogs.codec.packets.corrections import CorrectedCameras, Correction
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.packets.syntax import refers_to_first
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import default_lattice, dequantise, quantise
 from decogs.encoder.coding.packets import Written, frame_packet, key_packet, read_back
 from decogs.encoder.coding.scene import Scene
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
-from decogs.formats.container import PacketKind
 from decogs.formats.splats import Splats, empty_splats, take_splats
+from decogs.formats.stream.container import PacketKind
 
 COUNT = 400
 CORRECTED = CorrectedCameras(exposure_drift=("cam01",))

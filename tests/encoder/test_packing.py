@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from decogs.decoder import export
-from decogs.decoder.frame import DecodedFrame
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.frame import DecodedFrame
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import pack
 from decogs.encoder.commands import pack_main
 from decogs.encoder.input.row_matching import mutual_nearest

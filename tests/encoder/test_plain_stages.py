@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.input.compensation.matching import find_colours
-from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.keyframe import first_frame
-from decogs.encoder.keyframe.backdrop import stage as backdrop
-from decogs.encoder.keyframe.backdrop.plain import plain_pixels
-from decogs.encoder.keyframe.backdrop.stage import PlainRoom, PlainStage, Stage, find_stage
 from decogs.formats.cameras import Camera, camera_centre, project
 from decogs.formats.rigs import open_rig
+from decogs.rig.pictures.ingest import Ingest, RigFrame
+from decogs.rig.stage import stage as backdrop
+from decogs.rig.stage.plain import plain_pixels
+from decogs.rig.stage.stage import PlainRoom, PlainStage, Stage, find_stage
 from encode_rig import encode_rig as encode
 from stages import scenes
 from stages.make import write_stage

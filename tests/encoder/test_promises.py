@@ -12,10 +12,10 @@ import pytest
 
 import decogs.encoder.keyframe.train as keyframe
 import decogs.encoder.training.method as method
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import default_lattice, dequantise
-from decogs.codec.state import take_rows
-from decogs.decoder.stream import open_stream
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import default_lattice, dequantise
+from decogs.codec.scene.state import take_rows
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.optimiser import CpuOptimiser
 from decogs.encoder.coding.changes import delta_of
 from decogs.encoder.frame.commit import commit

@@ -22,15 +22,15 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import Correction
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import Correction
 from decogs.encoder import Switches, Targets
-from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.stream.frame_report import FrameReporter
-from decogs.formats.container import FRAME_KINDS, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
+from decogs.formats.stream.container import FRAME_KINDS, StreamWriter
+from decogs.rig.pictures.ingest import RigFrame
 from encode_rig import encode_rig
 from packets import iterate_packets
 

@@ -17,12 +17,12 @@ import pytest
 
 import decogs.encoder.settings as settings_package
 from decogs.encoder import PRESETS, CorrectionSettings, EncodeSettings, Switches, Targets
+from decogs.encoder.job.switches import check_together
 from decogs.encoder.settings.checked import Checked, OneOf, Within
 from decogs.encoder.settings.effects import EFFECT_NAMES
 from decogs.encoder.settings.frame import FrameSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.settings.reading import read_settings
-from decogs.encoder.switches import check_together
 from decogs.formats.errors import UsageError
 from encode_rig import encode_rig as encode
 

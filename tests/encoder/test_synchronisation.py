@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.synchronisation import AUTO, drift, find_starts, open_synchronised
-from decogs.encoder.synchronisation.commands import sync_main
-from decogs.encoder.synchronisation.joint import Joint
-from decogs.encoder.synchronisation.motion import starts_by_motion
-from decogs.encoder.synchronisation.sound import starts_by_sound
-from decogs.encoder.synchronisation.starts import frames_late, joined, known, whole_if_in_step
 from decogs.formats.cameras import Camera, project
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_recordings, open_rig
-from decogs.formats.soundtracks import RATE, Sound, read_sound
-from decogs.formats.timecodes import read_timecode
+from decogs.formats.sound.tracks import RATE, Sound, read_sound
+from decogs.formats.videos.timecodes import read_timecode
+from decogs.rig.synchronisation import AUTO, drift, find_starts, open_synchronised
+from decogs.rig.synchronisation.commands import sync_main
+from decogs.rig.synchronisation.joint import Joint
+from decogs.rig.synchronisation.motion import starts_by_motion
+from decogs.rig.synchronisation.sound import starts_by_sound
+from decogs.rig.synchronisation.starts import frames_late, joined, known, whole_if_in_step
 from videos_with_sound import claps, write_video
 
 WIDTH, HEIGHT, LENGTH = 96, 72, 32

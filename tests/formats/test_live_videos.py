@@ -24,7 +24,7 @@ from decogs.formats.rigs import connections as connections_module
 from decogs.formats.rigs import dropped_in, open_live, read_frames
 from decogs.formats.rigs.feeds import DAMAGED, LACKING, OVERRUN
 from decogs.formats.rigs.sender_times import SharedClock, StampsOfSender
-from decogs.formats.videos import open_video
+from decogs.formats.videos.reading import open_video
 from rtsp_camera import RtspCamera, coded
 
 WIDTH, HEIGHT, FPS, MOMENTS = 64, 48, 20, 200

@@ -19,12 +19,12 @@ import av.filter
 import numpy as np
 import pytest
 
-from decogs.formats import videos
 from decogs.formats.cameras import Camera
+from decogs.formats.colours.ycbcr import to_rgb
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import Rig, open_rig, read_frames
-from decogs.formats.video_colours import to_rgb
-from decogs.formats.videos import VideoSource, open_video
+from decogs.formats.videos import reading as videos
+from decogs.formats.videos.reading import VideoSource, open_video
 from rig_layouts import cameras, write_model
 
 CODEC_TOLERANCE = 4

@@ -18,22 +18,22 @@ import pytest
 
 import decogs.encoder.change.masks as masks_module
 import decogs.encoder.frame.events as events
-from decogs.codec.digest import digest
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.codec.scene.digest import digest
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.psnr import psnr_of
 from decogs.encoder.commands import encode_main
 from decogs.encoder.frame.context import Context
-from decogs.encoder.input.dropouts import BLACK, BLANK, FROZEN, blankness
-from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.psnr import psnr_of
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import DecogsError, RigError, TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.rig import Points
 from decogs.formats.splats import SH_C0
+from decogs.rig.pictures.dropouts import BLACK, BLANK, FROZEN, blankness
+from decogs.rig.pictures.ingest import Ingest
 from encode_rig import encode_rig
 
 TRAINING = ("cam00", "cam01", "cam03", "cam04")

@@ -6,8 +6,8 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from decogs.codec.sound import SLOWEST, SoundTrack
-from decogs.formats.command_line import Parser, number, vector, whole_number
+from decogs.codec.packets.sound import SLOWEST, SoundTrack
+from decogs.formats.cli.command_line import Parser, number, vector, whole_number
 from decogs.formats.errors import UsageError
 
 from ..sound import with_file
@@ -54,7 +54,7 @@ class Audio(Operation):
         return replace(take, header=replace(take.header, sound=tuple(tracks))).with_note(told)
 
     def _added(self, take: Take, path: Path) -> Take:
-        from decogs.formats.soundtracks import sound_channels, sound_title
+        from decogs.formats.sound.tracks import sound_channels, sound_title
 
         fps = take.header.fps
         if fps is None or fps < SLOWEST:

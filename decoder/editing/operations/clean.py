@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import LOG_SCALE_BOUND, dequantise
-from decogs.codec.state import Rows, State, part_of
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import LOG_SCALE_BOUND, dequantise
+from decogs.codec.scene.state import Rows, State, part_of
 from decogs.formats.cameras import project
-from decogs.formats.command_line import Parser, number, whole_number
+from decogs.formats.cli.command_line import Parser, number, whole_number
 from decogs.formats.errors import UsageError
-from decogs.formats.similarity import transformed_splats
+from decogs.formats.geometry.similarity import transformed_splats
 from decogs.formats.splats import SH_C0, Splats, sigmoid
 
-from ...stream import in_its_world
+from ...reading.stream import in_its_world
 from ..scene import positions
 from ..segments import rows_among, with_choices
 from ..take import Frame, Take
@@ -197,9 +197,9 @@ def _told(state: State, ids: tuple[Rows, ...], limits: dict[str, float], stays: 
 
 def _write_picture(header: StreamHeader, state: State, stays: NDArray[np.bool_], path: Path) -> None:
     """The scene dimmed and grey, what goes in red; small and thin ones as opaque as they must be to show."""
-    from ...picture_output import open_sink
-    from ...video_output import VideoSettings
-    from ...views import render_view
+    from ...output.pictures import open_sink
+    from ...output.video import VideoSettings
+    from ...rendering.views import render_view
 
     splats = transformed_splats(dequantise(state, header.lattice), header.presentation.similarity)
     view = header.presentation.first_view or header.cameras[0].name

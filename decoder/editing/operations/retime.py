@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from decogs.codec.state import ARRAYS, State
-from decogs.formats.command_line import Parser, frame_rate, number, whole_number
+from decogs.codec.scene.state import ARRAYS, State
+from decogs.formats.cli.command_line import Parser, frame_rate, number, whole_number
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import frame_range
+from decogs.formats.frames.ranges import frame_range
 
 from ..segments import segment_of
 from ..sound import Played, played

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from decogs.codec.corrections import Corrections
+from decogs.codec.packets.corrections import Corrections
+from decogs.rig.pictures.ingest import RigFrame, View
 
 from ...stopwatch import Stopwatch
-from ..ingest import RigFrame, View
 from . import CorrectionMemory, Corrector, RenderView
 from .colour import remove_gain
 

@@ -13,8 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.rig.numerics import floats
+
 from .plane_sweep import DepthMap
-from .views import Array, SweepView, between, floats, inside, pixel_rays, project
+from .views import Array, SweepView, between, inside, pixel_rays, project
 
 _MAX_SHIFT_PIXELS = 1.0
 """Largest difference of equal depths, as a displacement in the other picture, in pixels."""

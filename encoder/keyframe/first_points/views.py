@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, scale_camera
+from decogs.rig.numerics import floats
 
 Array = NDArray[np.float32]
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
@@ -79,11 +80,6 @@ def make_view(camera: Camera, picture: Array, scale: float) -> SweepView:
         translation=translation,
         centre=-rotation.T @ translation,
     )
-
-
-def floats(picture: NDArray[np.generic]) -> Array:
-    """A picture as float32, without a copy if it is: OpenCV's stubs do not say what a function returns."""
-    return np.asarray(picture, np.float32)
 
 
 def pixel_rays(view: SweepView, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-/** How spherical harmonics turn with a scene: `sh_rotation` of formats/spherical_harmonics.py, from as many directions as unknowns. */
+/** How spherical harmonics turn with a scene: `sh_rotation` of formats/geometry/spherical_harmonics.py, from as many directions as unknowns. */
 import { applied, transposed, unit, type Matrix, type Vector } from "../geometry/vectors";
 
 /** Far from each other and from each other's opposites: a system of seven is well conditioned. */

@@ -1,4 +1,4 @@
-/** Lens distortion, backwards: the direction that a point of a distorted picture comes from (decoder/lens.py). */
+/** Lens distortion, backwards: the direction that a point of a distorted picture comes from (decoder/cameras/lens.py). */
 import type { RigCamera } from "../scene";
 
 const NEWTON_STEPS = 15;

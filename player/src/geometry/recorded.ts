@@ -1,6 +1,6 @@
 /**
  * The picture that a camera of the rig recorded: from where it stood in the frame, with its lens and its colours
- * (SPEC section 6, "Corrections"; decoder/views.py).
+ * (SPEC section 6, "Corrections"; decoder/rendering/views.py).
  *
  * A wider pinhole is drawn, which sees all that the lens sees, and resampled; then the colours' odds are multiplied.
  */

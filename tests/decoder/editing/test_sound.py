@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.sound import RATE, SoundTrack, frame_start
+from decogs.codec.packets.sound import RATE, SoundTrack, frame_start
 from decogs.decoder import decode_sound, open_stream
 from decogs.decoder.editing import (
     Audio,

@@ -13,19 +13,19 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.lens import distort_pixels, with_k1
-from decogs.encoder.calibration import certainty
-from decogs.encoder.calibration.by_motion import _explained, believed, is_mirrored, moving_cameras
-from decogs.encoder.calibration.certainty import focal_deviations
-from decogs.encoder.calibration.features import Features, features_of, matched, sift_extractor
-from decogs.encoder.calibration.footage import Footage, instants_of, pictures_at
-from decogs.encoder.calibration.given import Given
-from decogs.encoder.calibration.held_out import split
-from decogs.encoder.calibration.lenses import Lens
-from decogs.encoder.calibration.placed import Calibration
-from decogs.encoder.calibration.structure import Mapped, Matched, map_cameras
+from decogs.decoder.cameras.lens import distort_pixels, with_k1
 from decogs.formats.cameras import Camera, as_pinhole, project
 from decogs.formats.rigs import open_rig
+from decogs.rig.calibration import certainty
+from decogs.rig.calibration.by_motion import _explained, believed, is_mirrored, moving_cameras
+from decogs.rig.calibration.certainty import focal_deviations
+from decogs.rig.calibration.features import Features, features_of, matched, sift_extractor
+from decogs.rig.calibration.footage import Footage, instants_of, pictures_at
+from decogs.rig.calibration.given import Given
+from decogs.rig.calibration.held_out import split
+from decogs.rig.calibration.lenses import Lens
+from decogs.rig.calibration.placed import Calibration
+from decogs.rig.calibration.structure import Mapped, Matched, map_cameras
 
 pytest.importorskip("pycolmap", reason="pip install 'decogs[calibrate]'")
 
