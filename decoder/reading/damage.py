@@ -61,9 +61,9 @@ class Concealment:
     def report(self, damage: Damage) -> None:
         """Each damaged place is reported once, however often it is read."""
         _name(damage.error, self._name)
-        place = damage.error.offset, damage.error.reason, damage.frames, damage.error.sound_of
-        if place not in self._reported:
-            self._reported.add(place)
+        event = damage.error.offset, damage.error.reason, damage.frames, damage.error.sound_of
+        if event not in self._reported:
+            self._reported.add(event)
             check_places(len(self._reported), damage.error)
             self._on_damage(damage)
 

@@ -224,8 +224,8 @@ class Stream:
         except StreamError as error:
             if error.reason not in WRONG_INDEX or not self._concealment.allows(error):
                 raise
-            place = self._without_index().entry(frame)
-            if place is None or place == self._survey.entry(frame):
+            indexed = self._without_index().entry(frame)
+            if indexed is None or indexed == self._survey.entry(frame):
                 raise
             self._pass_over_index(error)
             return packets.of(frame)

@@ -146,9 +146,9 @@ def _group_by_camera(path: Path, entries: Sequence[_Entry]) -> list[list[_Entry]
 def _numbered_poses(entries: Sequence[_Entry]) -> list[int]:
     """A number for the pose of each entry, the same where they differ by rounding only."""
     poses = np.array([entry.fields.matrix("transform_matrix")[:3] for entry in entries])
-    places = poses[np.isfinite(poses[:, :, 3]).all(axis=1), :, 3]
-    if len(places):
-        poses[:, :, 3] /= max(np.ptp(places, axis=0).max(), _LEAST_SIZE * np.abs(places).max()) or 1.0
+    centres = poses[np.isfinite(poses[:, :, 3]).all(axis=1), :, 3]
+    if len(centres):
+        poses[:, :, 3] /= max(np.ptp(centres, axis=0).max(), _LEAST_SIZE * np.abs(centres).max()) or 1.0
     numbers: dict[bytes, int] = {}
     kept, count = np.empty((min(len(poses), _MAX_POSES), 3, 4)), 0
     for entry, pose in zip(entries, poses, strict=True):
