@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from decogs.formats.errors import StreamError
-from decogs.formats.stream.survey import check_places, is_damage
+from decogs.formats.stream.survey import check_damage_count, is_damage
 
 
 class DamageWarning(UserWarning):
@@ -64,7 +64,7 @@ class Concealment:
         event = damage.error.offset, damage.error.reason, damage.frames, damage.error.sound_of
         if event not in self._reported:
             self._reported.add(event)
-            check_places(len(self._reported), damage.error)
+            check_damage_count(len(self._reported), damage.error)
             self._on_damage(damage)
 
 

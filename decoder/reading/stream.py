@@ -150,7 +150,7 @@ class Stream:
                 sound = self._sound_of(frame)
             yield sound
 
-    def not_known(self) -> list[str]:
+    def unknown_parts(self) -> list[str]:
         """What the file holds that this version does not know: members of its header, kinds of packets."""
         with self._errors_named():
             header = self._reader(0).next()

@@ -36,7 +36,7 @@ def frames_before(fps: float) -> int:
     return int(np.ceil((PRE_ROLL + BLOCK) * fps / RATE))
 
 
-def heard_in(stream: HasSound, frames: range) -> Iterator[FloatArray]:
+def mixed_sound(stream: HasSound, frames: range) -> Iterator[FloatArray]:
     """What is heard in these frames of a stream with sound, all tracks together: stereo (2, N), a piece a frame."""
     header = stream.header
     assert header.fps is not None

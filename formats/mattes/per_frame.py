@@ -58,7 +58,7 @@ def stream_matte_rig(folder: Path, cameras: Sequence[Camera], first: int, count:
     return Rig(folder, "mattes", tuple(cameras), sources, None, count)
 
 
-def matte_place(rig: Rig, name: str, frame: int) -> str:
+def matte_origin(rig: Rig, name: str, frame: int) -> str:
     """Where the matte of a camera and frame of such a rig comes from, for a message."""
     source = next(source for camera, source in zip(rig.cameras, rig.sources, strict=True) if camera.name == name)
     return str(source.files[frame]) if isinstance(source, PictureSource) else f"{source.path}, frame {frame}"

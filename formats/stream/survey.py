@@ -112,7 +112,7 @@ def check_lost(frames: int, found: int) -> None:
         raise StreamError(Reason.TOO_LARGE, message)
 
 
-def check_places(indices: int, error: StreamError) -> None:
+def check_damage_count(indices: int, error: StreamError) -> None:
     """Raises StreamError "too-large" when, with this one, so many places are damaged that the stream is refused."""
     if indices > MAX_DAMAGED_PLACES:
         raise StreamError(Reason.TOO_LARGE, "the stream is damaged in too many places", offset=error.offset)
@@ -196,7 +196,7 @@ class _Search:
 
     def damage(self, error: StreamError) -> None:
         self._damage.append(error)
-        check_places(len(self._damage), error)
+        check_damage_count(len(self._damage), error)
 
     def survey(self, complete: bool, unfinished_bytes: int) -> Survey:
         return survey(

@@ -85,7 +85,7 @@ class Clean(Operation):
             for frame, ids in chosen(start, stop):
                 stays = _in_all(frame.state, ids)
                 if not lines:
-                    lines.append(_told(frame.state, ids, limits, stays))
+                    lines.append(_summary(frame.state, ids, limits, stays))
                     if self.picture is not None:
                         _write_picture(header, frame.state, stays, self.picture)
                 yield frame if stays.all() else frame.of(part_of(frame.state, stays))
@@ -185,7 +185,7 @@ def _in_all(state: State, ids: tuple[Rows, ...]) -> NDArray[np.bool_]:
     return np.asarray(np.logical_and.reduce([rows_among(state, each) for each in ids]))
 
 
-def _told(state: State, ids: tuple[Rows, ...], limits: dict[str, float], stays: NDArray[np.bool_]) -> str:
+def _summary(state: State, ids: tuple[Rows, ...], limits: dict[str, float], stays: NDArray[np.bool_]) -> str:
     """What goes of the first frame, and for which reasons."""
     reasons = [
         f"{len(state) - int(rows_among(state, each).sum())} by {name} ({limit:.3g})"
