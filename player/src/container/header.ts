@@ -5,7 +5,7 @@ import { refuse } from "./errors";
 import { JsonNumber, parseJson, type JsonObject, type JsonValue } from "./json";
 import { MAX_CAMERAS, MAX_HEADER_BYTES, MAX_IMAGE_SIDE } from "./limits";
 import { readPresentation } from "./presentation";
-import { readSoundTracks } from "../sound/packets";
+import { readSoundTracks } from "./sound";
 
 const MAX_TEXT = 65_536;
 const MAX_LIST = 1024;

@@ -13,7 +13,7 @@ import style from "./style.css";
 import { Statistics } from "./statistics";
 import { Timeline } from "./timeline";
 import { timeText } from "./time_text";
-import { SoundControls } from "../sound/controls";
+import { SoundControls } from "./sound_controls";
 
 const IDLE_MS = 2600;
 const NOTICE_MS = 2600;

@@ -1,6 +1,6 @@
 /** One stream's life: what the worker says of it, which frame is due, seeking, and following a file that grows. */
 import type { PinholeCamera } from "../geometry/camera";
-import { inItsWorld } from "../geometry/similarity";
+import { inItsWorld } from "../geometry/world";
 import { NO_ANSWER, type DrawOrder, type ExactAnswer, type ExactPicture, type FrameInfo, type FromWorker, type Opening, type SceneUpdate, type TextureLayout, type ToWorker } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Answers } from "./answers";

@@ -1,5 +1,5 @@
 /** Opus blocks decoded by the browser (WebCodecs). */
-import { BLOCK, RATE } from "./packets";
+import { BLOCK, RATE } from "../container/sound";
 import type { Run } from "./runs";
 
 /** Samples of each channel of a run; silence where a block is none that the browser decodes. */

@@ -4,7 +4,7 @@ import { StreamError, isDamage, type Reason } from "../container/errors";
 import { DEFAULT_LIMITS, type Limits } from "../container/limits";
 import { startZstd } from "../entropy/zstd";
 import { KIND, type PacketHeader } from "../container/packets";
-import { MAX_PACKETS, readSoundPacket } from "../sound/packets";
+import { MAX_PACKETS, readSoundPacket } from "../container/sound";
 import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, SoundPacket, Still, StreamHeader } from "../scene";
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
 import { BlobFeed } from "./blob";

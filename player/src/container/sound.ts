@@ -1,5 +1,5 @@
 /** Tracks of sound in the header, and the SOUND packets that hold them (SPEC sections 4 and 6). */
-import { JsonNumber, type JsonValue } from "../container/json";
+import { JsonNumber, type JsonValue } from "./json";
 import type { SoundPacket, SoundTrack } from "../scene";
 import type { Vector } from "../geometry/vectors";
 
