@@ -246,6 +246,13 @@ export class Session {
     this.host.wake();
   }
 
+  /** Seeks, or has the next stream begin there where its header has not come. */
+  goTo(start: Start): void {
+    const value = "frame" in start ? start.frame : start.seconds;
+    if (this.header !== null) this.seek("frame" in start ? value : value * this.playback.fps);
+    else if (Number.isFinite(value)) this.start = "frame" in start ? { frame: Math.max(0, value) } : { seconds: Math.max(0, value) };
+  }
+
   fail(message: string): void {
     this.error = message;
     clearTimeout(this.#lateTimer);

@@ -96,15 +96,13 @@ export class ScenePlayer extends EventTarget {
     return this.#session.playback.due;
   }
   set currentFrame(frame: number) {
-    if (this.header !== null) this.#session.seek(Math.round(frame));
-    else if (Number.isFinite(frame)) this.#session.start = { frame: Math.max(0, Math.round(frame)) };
+    this.#session.goTo({ frame: Math.round(frame) });
   }
   get currentTime(): number {
     return this.#session.position / this.fps;
   }
   set currentTime(seconds: number) {
-    if (this.header !== null) this.#session.seek(seconds * this.fps);
-    else if (Number.isFinite(seconds)) this.#session.start = { seconds: Math.max(0, seconds) };
+    this.#session.goTo({ seconds });
   }
   get loop(): boolean {
     return this.#session.playback.loop;
