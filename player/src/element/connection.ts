@@ -84,6 +84,13 @@ export class Connection {
     this.worker.postMessage(message, transfer);
   }
 
+  /** Gives buffers back that nobody needs any more, for the worker to fill again. */
+  recycle(...arrays: (Uint32Array | Uint8Array | null | undefined)[]): void {
+    const buffers = arrays.flatMap((array) => (array ? [array.buffer as ArrayBuffer] : []));
+    const whole = buffers.filter((buffer) => buffer.byteLength > 0);
+    this.send({ type: "recycle", buffers: whole }, whole);
+  }
+
   private async giveKernel(): Promise<void> {
     try {
       const bytes = await kernelBytes();

@@ -9,6 +9,14 @@ const MOST_SKIPPED = 15;
 /** Share of real time that decoding may take before frames are shown one by one, later than they are due. */
 const COMFORTABLE = 0.8;
 
+/** A moment of a stream, whose frames a second may not be known yet. */
+export type Moment = { readonly seconds: number } | { readonly frame: number };
+
+/** In frames and parts of them. */
+export function framesOf(moment: Moment, fps: number): number {
+  return "frame" in moment ? moment.frame : moment.seconds * fps;
+}
+
 export class Playback {
   playing = false;
   loop = false;

@@ -3,7 +3,7 @@
  * first. The engine's state is left as it was found.
  */
 import { SplatBatches } from "../draw/splat_batches";
-import type { Drawing } from "../element/session";
+import type { Drawing } from "../element/session_host";
 import type { Pose } from "../geometry/poses";
 import type { Similarity } from "../geometry/similarity";
 import type { DepthRow, DrawOrder, SceneUpdate, TextureLayout } from "../messages";
