@@ -106,8 +106,8 @@ export function takeOverProperties(element: HTMLElement): void {
 
 /** Frames A:B, as commands have them; null for what is none. */
 function spanOf(text: string | null): Span | null {
-  const found = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
-  if (found === null) return null;
-  const [from, to] = [Number(found[1]), Number(found[2])];
+  const match = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
+  if (match === null) return null;
+  const [from, to] = [Number(match[1]), Number(match[2])];
   return from < to ? [from, to] : null;
 }

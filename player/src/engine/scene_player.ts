@@ -24,7 +24,7 @@ export class ScenePlayer extends EventTarget {
   #waking = false;
   /** Why a view was not drawn; null once one is. */
   #refused: string | null = null;
-  readonly #told = new Set<string>();
+  readonly #reported = new Set<string>();
   #lastTime = 0;
 
   constructor(source: string, { autoplay = false, loop = false, follow = false }: SceneOptions = {}) {
@@ -160,8 +160,8 @@ export class ScenePlayer extends EventTarget {
   /** Says why nothing is drawn: as `error`, and once as an event and in the console. */
   refuse(why: string): void {
     this.#refused = why;
-    if (this.#told.has(why)) return;
-    this.#told.add(why);
+    if (this.#reported.has(why)) return;
+    this.#reported.add(why);
     console.error(why);
     this.#tell("error");
   }

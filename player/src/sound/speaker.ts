@@ -253,8 +253,8 @@ export class Speaker {
   }
 
   private placedTracks(): (readonly [PannerNode, Vector])[] {
-    const places = this.tracks.flatMap(({ position }) => (position === null ? [] : [position]));
-    return this.placed.map((panner, index) => [panner, places[index]] as const);
+    const positions = this.tracks.flatMap(({ position }) => (position === null ? [] : [position]));
+    return this.placed.map((panner, index) => [panner, positions[index]] as const);
   }
 }
 

@@ -17,9 +17,9 @@ const MAX_BYTES = 4096;
 export function readMetricsPayload(payload: Uint8Array): FrameMetrics | null {
   if (payload.length > MAX_BYTES) return null;
   try {
-    const told: unknown = JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(payload));
-    if (typeof told !== "object" || told === null || !("psnr" in told)) return null;
-    return typeof told.psnr === "number" && Number.isFinite(told.psnr) ? { psnr: told.psnr } : null;
+    const value: unknown = JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(payload));
+    if (typeof value !== "object" || value === null || !("psnr" in value)) return null;
+    return typeof value.psnr === "number" && Number.isFinite(value.psnr) ? { psnr: value.psnr } : null;
   } catch {
     return null;
   }

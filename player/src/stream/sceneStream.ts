@@ -208,9 +208,9 @@ class OpenStream implements SceneStream {
 
   /** Where there is no index, frames are found as their bytes come; a few at a time, since others wait for the walk, too. */
   private async walkAhead(end: number, turn: number): Promise<void> {
-    for (let known = -1; this.indexed === null && known !== this.table.length && turn === this.aheadTurn; ) {
-      known = this.table.length;
-      await this.walkTo(known + WALKED_AT_ONCE, undefined, end);
+    for (let count = -1; this.indexed === null && count !== this.table.length && turn === this.aheadTurn; ) {
+      count = this.table.length;
+      await this.walkTo(count + WALKED_AT_ONCE, undefined, end);
     }
   }
 
