@@ -17,6 +17,9 @@ export function framesOf(moment: Moment, fps: number): number {
   return "frame" in moment ? moment.frame : moment.seconds * fps;
 }
 
+/** Of a frame: sums of steps miss whole frames by less. */
+const ROUNDING = 1e-6;
+
 export class Playback {
   playing = false;
   loop = false;
@@ -41,7 +44,7 @@ export class Playback {
   }
 
   get due(): number {
-    return Math.max(0, Math.min(Math.floor(this.position + 1e-6), this.frameCount - 1));
+    return Math.max(0, Math.min(Math.floor(this.position + ROUNDING), this.frameCount - 1));
   }
 
   /** The frames that are played again and again, as far as they are known; null: none are. */
@@ -57,7 +60,7 @@ export class Playback {
     const most = shown + this.allowed() + 1 - 1e-3;
     const next = Math.min(this.position + seconds * this.rate * this.fps, Math.max(most, this.position));
     const { repeated } = this;
-    if (repeated !== null && next >= repeated[1]) {
+    if (repeated !== null && next >= repeated[1] - ROUNDING) {
       const [from, to] = repeated;
       // What is beyond the end belongs to the next pass, since sound goes on without a gap. Elsewhere a range begins anew.
       this.position = this.position < to ? from + ((next - to) % (to - from)) : from;
