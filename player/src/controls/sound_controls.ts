@@ -1,5 +1,5 @@
 /** Mute and volume, in the bar of a stream that has sound. */
-import { icon } from "../controls/icons";
+import { icon } from "./icons";
 import type { PlayerApi } from "../player_api";
 import { ownMarkup } from "../trusted";
 

@@ -1,5 +1,5 @@
 /** Tracks of sound in the header, and the SOUND packets that hold them (SPEC sections 4 and 6). */
-import { JsonNumber, type JsonValue } from "../container/json";
+import { JsonNumber, type JsonValue } from "./json";
 import type { SoundPacket, SoundTrack } from "../scene";
 import type { Vector } from "../geometry/vectors";
 
@@ -35,8 +35,8 @@ function trackOf(entry: JsonValue): SoundTrack | null {
   if (title !== undefined && (typeof title !== "string" || Array.from(title).length > MAX_TITLE)) return null;
   if (position === undefined) return { channels: count, position: null };
   if (!Array.isArray(position) || position.length !== 3) return null;
-  const place = position.flatMap((each) => (each instanceof JsonNumber && Math.abs(each.value) <= MAX_COORDINATE ? [each.value] : []));
-  return place.length === 3 ? { channels: count, position: place as unknown as Vector } : null;
+  const coordinates = position.flatMap((each) => (each instanceof JsonNumber && Math.abs(each.value) <= MAX_COORDINATE ? [each.value] : []));
+  return coordinates.length === 3 ? { channels: count, position: coordinates as unknown as Vector } : null;
 }
 
 /** null for a packet that is damaged, or of a track that there is not. Bytes are the packet's own, copied. */
