@@ -6,18 +6,21 @@ closed segment, with a memory of its own. Every step takes frozen values and ret
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
 from decogs.codec.header.header import StreamHeader
+from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.lattice import dequantise
 from decogs.codec.scene.state import State, changed_between
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats
 from decogs.formats.stream.container import Packet, PacketKind
 from decogs.rig.pictures.ingest import RigFrame, scene_extent
+from decogs.rig.stage.stage import Stage, find_stage
 
 from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
@@ -31,7 +34,7 @@ from .commit import Outcome, commit
 from .context import Context
 from .cross_fade import CrossFade, cross_fade
 from .events import Event, Kind, PendingFrame, what_happened
-from .memory import Memory, new_memory, restart_at_segment
+from .memory import Memory, SceneStart, new_memory, restart_at_segment
 from .plan import FramePlan, Selection, find_selection, plan_frame
 from .train import train_frame
 
@@ -77,7 +80,7 @@ def encode_frame(context: Context, scene: Scene, memory: Memory, task: Task) -> 
     frame, event = observe(context, scene, memory, task)
     if event.kind is Kind.CUT:
         try:
-            return encode_cut(context, event, task)
+            return encode_cut(context, event, frame, task)
         except TrainingError:
             # Such as pictures in which no points are found: the frame is trained as others are.
             event = replace(event, kind=Kind.CHANGE)
@@ -91,13 +94,15 @@ def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple
     index = recorded.index - scene.header.first_frame
     scene, memory, is_start = restart_at_segment(context, scene, memory, index, watch)
     recorded = _without_lost(context, recorded, memory)
+    replayed = None if packet is None else scene.read(packet)
     if packet is not None:
         _, corrections = read_back(packet, scene.header)
     else:
         render = context.renderer(scene.splats)
         corrections = find_corrections(recorded, context.corrector, memory.corrections, render, watch)
-    frame = PendingFrame(recorded, compensate(recorded, context.corrector, corrections), corrections, is_start)
-    if packet is not None and scene.begins_anew(packet):
+    compensated = compensate(recorded, context.corrector, corrections)
+    frame = PendingFrame(recorded, compensated, corrections, is_start, replayed)
+    if packet is not None and replayed is not None and scene.is_left_by(packet, replayed):
         return frame, Event(Kind.CUT, scene, memory, [])
     event = what_happened(context, scene, memory, frame, watch)
     if event.kind is Kind.CUT and packet is not None:
@@ -120,11 +125,11 @@ def encode_change(context: Context, event: Event, frame: PendingFrame, task: Tas
     selection = find_selection(context, event, frame, watch)
     fade = None if task.following is None else task.following.fade(frame.recorded.index, event.scene)
     plan = plan_frame(context, event, selection, frame, fade, watch)
-    if packet is None:
+    if packet is None or frame.replayed is None:
         written, scene, trained = _train_and_code(context, event, plan, frame, fade, watch)
     else:
         written, _ = read_back(packet, event.scene.header)
-        scene = event.scene.after(packet)
+        scene = event.scene.after(frame.replayed)
         plan, trained = _replay(context, event.scene, scene, plan, packet)
     memory, outcome = commit(context, event, plan, frame, scene, trained, watch)
     if memory.rate is not None:
@@ -132,17 +137,17 @@ def encode_change(context: Context, event: Event, frame: PendingFrame, task: Tas
     return Encoded(written, scene, memory, outcome, frame.compensated)
 
 
-def encode_cut(context: Context, event: Event, task: Task) -> Encoded:
+def encode_cut(context: Context, event: Event, frame: PendingFrame, task: Task) -> Encoded:
     """A keyframe of another scene than the one before it; raises TrainingError where none can be trained."""
     before = event.scene
     context.views.release()
-    if task.packet is not None:
-        key = before.after(task.packet).state
+    if frame.replayed is not None:
+        first = earlier_first_frame(context, frame.replayed, before.header, task.recorded)
     else:
         recorded = match_colours(task.recorded, context.ingest.views, before.header.camera_colours)
         first = train_keyframe(context, recorded, task, before)
-        key = replace(first.state, frame=before.state.frame + 1)
-    return begin_scene(context, before.header, key, task, event)
+        first = replace(first, state=replace(first.state, frame=before.state.frame + 1))
+    return begin_scene(context, before.header, first, task, event)
 
 
 def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Scene | None = None) -> FirstFrame:
@@ -163,33 +168,52 @@ def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Sce
     )
 
 
-def begin_scene(context: Context, header: StreamHeader, key: State, task: Task, cut: Event | None = None) -> Encoded:
-    """The first frame of a stream, or of another scene after a ``cut``: its Gaussians are the ``key``'s."""
+def earlier_first_frame(context: Context, key: State, header: StreamHeader, recorded: RigFrame) -> FirstFrame:
+    """The first frame whose Gaussians, the ``key``'s, an earlier encode trained."""
+    colours, views = header.camera_colours, context.ingest.views
+    matched = match_colours(recorded, views, colours)
+    stage = None if context.method.dense else find_stage(views, matched)
+    return FirstFrame(key, header.lattice, colours, matched, stage)
+
+
+def begin_scene(
+    context: Context, header: StreamHeader, first: FirstFrame, task: Task, cut: Event | None = None
+) -> Encoded:
+    """The ``first`` frame of a stream, or of another scene after a ``cut``."""
     watch, packet, corrector = task.watch, task.packet, context.corrector
+    key, drift = first.state, None
     splats = dequantise(key, header.lattice)
-    recorded, drift = match_colours(task.recorded, context.ingest.views, header.camera_colours), None
     if corrector is not None:
         views = context.ingest.views
         drift = corrector.begin(lambda number: context.kernel.forward(splats, views[number].pinhole, depth=True))
     if packet is not None:
         written, corrections = read_back(packet, header)
     else:
-        corrections = find_corrections(recorded, corrector, drift, context.fresh_renderer(splats), watch)
+        corrections = find_corrections(first.recorded, corrector, drift, context.fresh_renderer(splats), watch)
         with watch.stage("write"):
             written = key_packet(header, key, corrections, context.settings.zstd_level)
-    scene = Scene.open(header, written.packet) if cut is None else cut.scene.after(written.packet)
-    frame = compensate(recorded, corrector, corrections)
+    frame = compensate(first.recorded, corrector, corrections)
     with watch.stage("commit"):
+        if packet is None:
+            key = reconstruct(None, written.packet, header) if cut is None else cut.scene.read(written.packet)
+        scene = Scene.open(header, key) if cut is None else cut.scene.after(key)
+        start = SceneStart(frame, _stage_of(context, first, frame))
         memory = new_memory(
             context,
             scene,
-            frame,
+            start,
             None if drift is None else replace(drift, first=corrections),
             time=_time_control(context) if cut is None else cut.memory.time,
-            first=cut.memory.first if cut is not None else frame if context.settings.closed else None,
+            first=cut.memory.first if cut is not None else start if context.settings.closed else None,
         )
     selection = Selection([], np.ones(len(key), bool))
     return Encoded(written, scene, memory, Outcome(selection, cut=cut is not None), frame)
+
+
+def _stage_of(context: Context, first: FirstFrame, compensated: RigFrame) -> Stage | None:
+    """The stage in the ``compensated`` pictures: the one that training found, unless these are others."""
+    same = all(map(operator.is_, first.recorded.training, compensated.training))
+    return first.stage if same or context.method.dense else find_stage(context.ingest.views, compensated)
 
 
 def _time_control(context: Context) -> TimeControl | None:
@@ -228,7 +252,7 @@ def _train_and_code(
             context.settings,
             whole=event.is_return,
         )
-        return written, before.after(written.packet), trained
+        return written, before.after(before.read(written.packet)), trained
 
 
 def _no_change(scene: Splats) -> TrainedFrame:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from decogs.codec.packets.corrections import Corrections
+from decogs.codec.scene.state import State
 from decogs.formats.splats import FloatArray
 from decogs.rig.pictures.ingest import RigFrame
 
@@ -32,13 +33,15 @@ class Kind(Enum):
 class PendingFrame:
     """A frame to encode: as recorded, compensated (``pictures``), and the corrections between the two.
 
-    ``restarted``: the scene before it is the first keyframe's, since the frame begins a closed segment.
+    ``restarted``: the scene before it is the first keyframe's, since the frame begins a closed segment. ``replayed``:
+    the state after it, where an earlier encode wrote it.
     """
 
     recorded: RigFrame
     compensated: RigFrame
     corrections: Corrections
     restarted: bool = False
+    replayed: State | None = None
 
     @property
     def pictures(self) -> Sequence[FloatArray]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from decogs.codec.scene.state import State
 from decogs.rig.pictures.ingest import RigFrame
-from decogs.rig.stage.stage import Stage, find_stage
+from decogs.rig.stage.stage import Stage
 
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl
@@ -30,11 +30,19 @@ class BeforeFlash:
 
 
 @dataclass(frozen=True)
+class SceneStart:
+    """A scene's first ``frame``, compensated, and the ``stage`` in it, if it shows one."""
+
+    frame: RigFrame
+    stage: Stage | None
+
+
+@dataclass(frozen=True)
 class Memory:
     """What a frame hands to the next.
 
-    ``first``: the stream's first frame, compensated, to which closed segments return; None in other streams. ``rate``
-    and ``time`` keep to budgets, where there are some. ``stage``: the scene's, if it is one.
+    ``first``: the stream's first frame, to which closed segments return; None in other streams. ``rate`` and ``time``
+    keep to budgets, where there are some. ``stage``: the scene's, if it is one.
     """
 
     trainer: FrameTrainer
@@ -45,19 +53,19 @@ class Memory:
     time: TimeControl | None
     stage: Stage | None = None
     before_flash: BeforeFlash | None = None
-    first: RigFrame | None = None
+    first: SceneStart | None = None
 
 
 def new_memory(
     context: Context,
     scene: Scene,
-    frame: RigFrame,
+    start: SceneStart,
     corrections: CorrectionMemory | None,
     *,
     time: TimeControl | None,
-    first: RigFrame | None,
+    first: SceneStart | None,
 ) -> Memory:
-    """The memory after a ``scene``'s first ``frame``, compensated: nothing is left of the frames before."""
+    """The memory after the ``start`` of a ``scene``: nothing is left of the frames before."""
     settings = context.settings
     rendered = None if context.method.dense else context.views.pictures(scene.splats)
     trainer = context.method.trainer(
@@ -74,12 +82,12 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(frame.training, rendered, subject=bool(frame.alpha)),
+        MaskMemory.begin(start.frame.training, rendered, subject=bool(start.frame.alpha)),
         Motion.at_rest(len(scene.state)),
         corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,
-        None if context.method.dense else find_stage(context.ingest.views, frame),
+        start.stage,
         first=first,
     )
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.lattice import Lattice, Vector, default_lattice, quantise, robust_extent
 from decogs.codec.scene.morton import morton_order
 from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS
@@ -128,7 +129,10 @@ class _Packing:
             packet = self._first(splats) if self._scene is None else self._next(self._scene, path, splats)
         except TrainingError as error:
             raise UsageError(f"{path}: {error}") from None
-        self._scene = Scene.open(self._header, packet) if self._scene is None else self._scene.after(packet)
+        if self._scene is None:
+            self._scene = Scene.open(self._header, reconstruct(None, packet, self._header))
+        else:
+            self._scene = self._scene.after(self._scene.read(packet))
         self._output.write(packet.kind, packet.frame, packet.payload)
         self._frames += 1
         return packet.size

@@ -19,7 +19,7 @@ from decogs.rig.pictures.recording_digests import difference, recorded_in
 
 from ..coding.stream_header import stream_header
 from ..frame.context import Context
-from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame, train_keyframe
+from ..frame.encode_frame import Encoded, Task, begin_scene, earlier_first_frame, encode_frame, train_keyframe
 from ..frame.next_segment import NextSegment, train_next_segment, with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
@@ -91,7 +91,7 @@ class StreamEncoder:
         first = self._first_frame(task)
         degree = sh_degree_of(first.state.coefficients)
         header = self._new_header(frame.index, first.lattice, degree, colours=first.colours, recorded=frame.recorded)
-        encoded = begin_scene(self._context, header, first.state, task)
+        encoded = begin_scene(self._context, header, first, task)
         with task.watch.stage("write"):
             self._output.begin(header.to_bytes())
         if isinstance(self._keyframe, KeyframeSource):
@@ -146,7 +146,8 @@ class StreamEncoder:
         task = Task(frame, packet)
         if self._last is None:
             key = reconstruct(None, packet, self._header)
-            self._last = begin_scene(self._context, self._header, key, task)
+            first = earlier_first_frame(self._context, key, self._header, frame)
+            self._last = begin_scene(self._context, self._header, first, task)
         else:
             self._last = encode_frame(self._context, self._last.scene, self._last.memory, task)
         if origin:
@@ -190,7 +191,8 @@ class StreamEncoder:
             return train_keyframe(context, task.recorded, task)
         source.check(context.ingest, task.recorded.index)
         context.ingest.set_near_planes(source.header.near_planes)
-        return FirstFrame(source.state, source.header.lattice, source.header.camera_colours)
+        with task.watch.stage("import"):
+            return earlier_first_frame(context, source.state, source.header, task.recorded)
 
     def _check_keyframe(self, source: KeyframeSource, encoded: Encoded, frame: RigFrame, watch: Stopwatch) -> None:
         """Warns where an earlier stream's keyframe is of other footage."""

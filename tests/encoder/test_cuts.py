@@ -11,7 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
+import decogs.encoder.coding.scene as coding_scene
 import decogs.encoder.frame.encode_frame as encode_frame
+import decogs.encoder.stream.encoder as stream_encoder
+from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.digest import digest
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import render
@@ -137,6 +140,23 @@ def test_an_encode_with_a_cut_is_resumed_to_the_same_bytes(
         path = tmp_path / f"{frames}.dgs"
         path.with_name(f"{path.name}.part").write_bytes(whole.cut_off(frames))
         assert encode(cut_rig, settings=settings, output=path, resume=True).data == whole.data, frames
+
+
+def test_a_replayed_packet_is_decoded_once(
+    cut_rig: Path, encode: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, decoded = encode(cut_rig), list[int]()
+
+    def noted(before: Any, packet: Any, *header: Any, **first: Any) -> Any:
+        decoded.append(packet.frame)
+        return reconstruct(before, packet, *header, **first)
+
+    for module in (coding_scene, encode_frame, stream_encoder):
+        monkeypatch.setattr(module, "reconstruct", noted)
+    path = tmp_path / "resumed.dgs"
+    path.with_name(f"{path.name}.part").write_bytes(whole.cut_off(3))
+    assert encode(cut_rig, output=path, resume=True).data == whole.data
+    assert decoded == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("closed", [False, True])

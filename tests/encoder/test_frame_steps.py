@@ -23,7 +23,7 @@ from decogs.encoder.coding.scene import IDS_PER_SEGMENT, Scene
 from decogs.encoder.frame.commit import Outcome, commit
 from decogs.encoder.frame.encode_frame import Encoded, Task
 from decogs.encoder.frame.events import Event, Kind, PendingFrame
-from decogs.encoder.frame.memory import Memory, restart_at_segment
+from decogs.encoder.frame.memory import Memory, SceneStart, restart_at_segment
 from decogs.encoder.frame.next_segment import NextSegment
 from decogs.encoder.frame.plan import FramePlan, Selection, light_only, plan_frame
 from decogs.encoder.frame.train import train_frame
@@ -190,7 +190,9 @@ def test_a_fade_is_trained_with_the_frames_own_settings_and_chance(
         seed=5,
         on_loss=None,
     )
-    scene = Stub(header=Stub(first_frame=4), splats=empty_splats(0), after=lambda packet: packet)
+    scene = Stub(
+        header=Stub(first_frame=4), splats=empty_splats(0), read=lambda packet: packet, after=lambda state: state
+    )
     event = Event(Kind.CHANGE, scene, memory_of(), [])
     still = replace(DRAFT.frame, rates=replace(DRAFT.frame.rates, means=0.0))
     plan = FramePlan(Selection([], np.zeros(3, bool)), (), still)
@@ -300,7 +302,7 @@ def test_the_keyframe_of_a_cut_is_trained_on_matched_colours(monkeypatch: pytest
     context = Stub(views=Stub(release=lambda: None), ingest=Stub(views=views))
     event = Event(Kind.CUT, Stub(header=Stub(camera_colours={"cam00": colour})), memory_of(), [])
     with pytest.raises(TrainingError):
-        encode_frame.encode_cut(context, event, Task(RigFrame(3, [PICTURE], [])))
+        encode_frame.encode_cut(context, event, pending(3), Task(RigFrame(3, [PICTURE], [])))
     np.testing.assert_array_equal(seen, [remove_gain(PICTURE, colour.odds_gain)])
 
 
@@ -317,7 +319,7 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     )
     key, corrections = state_of(4), Stub(restart=lambda: "the first frame's")
     scene = Scene(Stub(lattice=default_lattice(1.0)), key, state_of(4, 1), empty_splats(0))
-    first = RigFrame(0, [PICTURE], [])
+    first = SceneStart(RigFrame(0, [PICTURE], []), stage=Stub())
     flash: Any = Stub()
     memory = memory_of(
         masks=MaskMemory.begin([0.5 * PICTURE]),
@@ -336,7 +338,7 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     assert fresh.masks.references[0] is fresh.masks.previous[0] is PICTURE
     np.testing.assert_array_equal(fresh.motion.last, np.zeros((4, 3)))
     assert fresh.before_flash is None
-    assert fresh.first is first
+    assert (fresh.first, fresh.stage) == (first, first.stage)
 
 
 # The next segment

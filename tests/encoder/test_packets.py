@@ -76,7 +76,7 @@ def test_a_frame_is_a_delta_where_anything_changes_comes_or_goes(
 ) -> None:
     packet = written(1, change).packet
     assert packet.kind == kind
-    assert len(SCENE.after(packet).state) == gaussians
+    assert len(SCENE.read(packet)) == gaussians
 
 
 def test_a_segment_begins_with_a_keyframe_that_refers_to_the_first() -> None:
@@ -84,11 +84,11 @@ def test_a_segment_begins_with_a_keyframe_that_refers_to_the_first() -> None:
     for change in (None, trained(SOME)):
         kinds = [written(frame, change, segment=3).packet.kind == PacketKind.KEY for frame in range(1, 7)]
         assert kinds == [False, False, True, False, False, True]
-        delta = SCENE.after(written(1, change).packet).state
+        delta = SCENE.read(written(1, change).packet)
         for key in (written(3, change, segment=3), written(1, change, whole=True)):
             assert refers_to_first(replace(key.packet, start=CORRECTED.block_bytes))
             before = replace(SCENE, state=replace(SCENE.state, frame=key.packet.frame - 1))
-            assert digest(before.after(key.packet).state) == digest(replace(delta, frame=key.packet.frame))
+            assert digest(before.read(key.packet)) == digest(replace(delta, frame=key.packet.frame))
 
 
 @pytest.mark.parametrize("options", [{}, {"whole": True}])
