@@ -191,7 +191,7 @@ def begin_scene(
     else:
         corrections = find_corrections(first.recorded, corrector, drift, context.fresh_renderer(splats), watch)
         with watch.stage("write"):
-            written = key_packet(header, key, corrections, context.settings.zstd_level)
+            written = key_packet(header, key, corrections)
     frame = compensate(first.recorded, corrector, corrections)
     with watch.stage("commit"):
         if packet is None:
@@ -249,7 +249,7 @@ def _train_and_code(
             trained,
             plan.settings.significance,
             frame.corrections,
-            context.settings,
+            segment=context.settings.segment,
             whole=event.is_return,
         )
         return written, before.after(before.read(written.packet)), trained

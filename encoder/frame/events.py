@@ -104,12 +104,8 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
 
 
 def _is_cut(context: Context, memory: Memory, frame: PendingFrame, changes: Sequence[PixelChange]) -> bool:
-    # A keyframe needs every camera.
-    if (
-        not context.settings.cuts
-        or context.settings.time_budget is not None
-        or len(usable_views(changes)) < len(changes)
-    ):
+    # A keyframe needs every camera, and the time of many frames.
+    if context.settings.time_budget is not None or len(usable_views(changes)) < len(changes):
         return False
     # References whose pixels are of several frames have edges of their own.
     before = (memory.masks.references, memory.masks.previous)

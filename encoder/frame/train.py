@@ -15,6 +15,9 @@ from .context import Context
 from .events import Event, Kind, PendingFrame
 from .plan import FramePlan, select_again
 
+_CATCH_UP_ROUNDS = 3
+"""Trainings of a closed segment's first frame. `workbench`: 28.83 dB, of one round 28.01."""
+
 
 def train_frame(
     context: Context, event: Event, plan: FramePlan, frame: PendingFrame, watch: Stopwatch
@@ -22,14 +25,14 @@ def train_frame(
     """The changes of a frame, and the scene that they are against.
 
     The first frame of a closed segment catches up with all that has happened since the stream's first one, in
-    ``settings.catch_up`` rounds, each with a search for new objects. A round that diverges is the last, and changes
+    _CATCH_UP_ROUNDS, each with a search for new objects. A round that diverges is the last, and changes
     nothing.
     """
     if not frame.restarted:
         return event.scene, _train(context, event, plan, frame, watch)
     plan, scene = replace(plan, light_only=None), event.scene  # Every round selects again.
     trained = _train(context, event, plan, frame, watch)
-    for _ in range(1, context.settings.catch_up):
+    for _ in range(1, _CATCH_UP_ROUNDS):
         if trained.rejected:
             break
         before = scene

@@ -140,7 +140,7 @@ def test_what_light_alone_changes_goes_by_weight_whatever_selects(rule: str) -> 
 
 @pytest.mark.parametrize(
     ("diverges", "rounds", "rejected"),
-    [([False] * 4, 4, False), ([True], 1, True), ([False, True], 2, False)],
+    [([False] * 3, 3, False), ([True], 1, True), ([False, True], 2, False)],
 )
 def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], rounds: int, rejected: bool) -> None:
     """And the frame is rejected only if it was the first one: what others have changed stays."""
@@ -155,7 +155,7 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
         )
 
     context = Stub(
-        settings=replace(DRAFT, segment=3, closed=True, catch_up=4),
+        settings=replace(DRAFT, segment=3, closed=True),
         method=Stub(dense=True),
         views=Stub(update=lambda *_: None),
         ingest=Stub(views=[]),

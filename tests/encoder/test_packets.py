@@ -16,7 +16,6 @@ from decogs.codec.scene.digest import digest
 from decogs.codec.scene.lattice import default_lattice, dequantise, quantise
 from decogs.encoder.coding.packets import Written, frame_packet, key_packet, read_back
 from decogs.encoder.coding.scene import Scene
-from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
 from decogs.formats.splats import Splats, empty_splats, take_splats
@@ -52,11 +51,8 @@ def trained(kept: np.ndarray = NOBODY, removed: np.ndarray = NOBODY, *, added: b
 
 
 def written(frame: int, change: TrainedFrame | None, **options: Any) -> Written:
-    settings = EncodeSettings(
-        segment=options.pop("segment", 0), zstd_level=options.pop("level", EncodeSettings().zstd_level)
-    )
     scene, corrections = options.pop("scene", SCENE), options.pop("corrections", DARK)
-    return frame_packet(scene, frame, change, SignificanceSettings(), corrections, settings, **options)
+    return frame_packet(scene, frame, change, SignificanceSettings(), corrections, **options)
 
 
 @pytest.mark.parametrize(
@@ -91,19 +87,13 @@ def test_a_segment_begins_with_a_keyframe_that_refers_to_the_first() -> None:
             assert digest(before.read(key.packet)) == digest(replace(delta, frame=key.packet.frame))
 
 
-@pytest.mark.parametrize("options", [{}, {"whole": True}])
-def test_the_level_of_compression_is_the_settings(options: dict[str, Any]) -> None:
-    sizes = [written(1, trained(ALL), level=level, **options).packet.size for level in (1, 19)]
-    assert sizes[0] > sizes[1]
-
-
 @pytest.mark.parametrize("change", [None, trained(SOME)], ids=["skip", "delta"])
 @pytest.mark.parametrize("corrected", [CORRECTED, CorrectedCameras()], ids=["corrected", "as recorded"])
 def test_costs_are_all_of_a_payload_and_can_be_read_back(
     change: TrainedFrame | None, corrected: CorrectedCameras
 ) -> None:
     scene, corrections = scene_of(corrected), DARK if corrected.effects else {}
-    first = key_packet(scene.header, scene.state, corrections, 3)
+    first = key_packet(scene.header, scene.state, corrections)
     for each in (first, written(1, change, scene=scene, corrections=corrections)):
         assert sum(each.costs.values()) == len(each.packet.payload)
         assert each.costs.get("corrections", 0) == corrected.block_bytes

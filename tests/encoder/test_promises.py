@@ -26,6 +26,7 @@ from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
+from decogs.encoder.training import selective_densification
 from decogs.encoder.training.method import FrameInput, TrainedFrame
 from decogs.encoder.training.seeding import _confirm, _Found
 from decogs.encoder.training.warm_start import Motion
@@ -46,7 +47,8 @@ def test_a_scene_grows_no_further_than_the_stream_allows(
 ) -> None:
     """STABILITY.md: clones and splits of later frames stop at 1.25 times the keyframe's Gaussians."""
     assert method.MAX_GROWTH == 1.25
-    frame = replace(tiny_settings.frame, emergence=EmergenceSettings(max_seeds=0), grow_gradient=0.0, grow_fraction=1.0)
+    frame = replace(tiny_settings.frame, emergence=EmergenceSettings(max_seeds=0), grow_fraction=1.0)
+    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 0.0)
     given = {"settings": replace(tiny_settings, frame=frame), "keyframe": moving.path}
     first = len(moving.states[0])
     assert max(map(len, encode(moving_rig, **given).states)) > 1.02 * first
