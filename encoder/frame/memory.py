@@ -8,6 +8,7 @@ from decogs.codec.scene.state import State
 from decogs.rig.pictures.ingest import RigFrame
 from decogs.rig.stage.stage import Stage
 
+from ..backends.scene_views import SceneViews
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl
 from ..coding.scene import Scene
@@ -41,8 +42,9 @@ class SceneStart:
 class Memory:
     """What a frame hands to the next.
 
-    ``first``: the stream's first frame, to which closed segments return; None in other streams. ``rate`` and ``time``
-    keep to budgets, where there are some. ``stage``: the scene's, if it is one.
+    ``views``: the training views, which keep what was drawn last. ``first``: the stream's first frame, to which closed
+    segments return; None in other streams. ``rate`` and ``time`` keep to budgets, where there are some. ``stage``: the
+    scene's, if it is one.
     """
 
     trainer: FrameTrainer
@@ -51,6 +53,7 @@ class Memory:
     corrections: CorrectionMemory | None
     rate: RateControl | None
     time: TimeControl | None
+    views: SceneViews
     stage: Stage | None = None
     before_flash: BeforeFlash | None = None
     first: SceneStart | None = None
@@ -62,17 +65,18 @@ def new_memory(
     start: SceneStart,
     corrections: CorrectionMemory | None,
     *,
+    views: SceneViews,
     time: TimeControl | None,
     first: SceneStart | None,
 ) -> Memory:
     """The memory after the ``start`` of a ``scene``: nothing is left of the frames before."""
     settings = context.settings
-    rendered = None if context.method.dense else context.views.pictures(scene.splats)
+    rendered = None if context.method.dense else views.pictures(scene.splats)
     trainer = context.method.trainer(
         training_context(
             context.kernel,
             context.ingest.views,
-            context.views,
+            views,
             settings,
             scene.splats,
             seed=context.seed,
@@ -87,6 +91,7 @@ def new_memory(
         corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,
+        views,
         start.stage,
         first=first,
     )
@@ -105,5 +110,7 @@ def restart_at_segment(
     with watch.stage("commit"):
         scene = scene.restart(frame, segment)
         corrections = None if memory.corrections is None else memory.corrections.restart()
-        memory = new_memory(context, scene, memory.first, corrections, time=memory.time, first=memory.first)
+        memory = new_memory(
+            context, scene, memory.first, corrections, views=memory.views, time=memory.time, first=memory.first
+        )
     return scene, memory, True

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.methods.decogs import DecogsTrainer
+from decogs.encoder.methods.decogs import DecogsTrainer, _probes
 from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
@@ -21,7 +21,7 @@ from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, Iter
 from decogs.encoder.training import selective_densification
 from decogs.encoder.training.frame_training import FrameTraining
 from decogs.encoder.training.method import TrainedFrame, TrainingContext
-from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
+from decogs.encoder.training.schedule import MIN_STEPS, Pace, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, take_splats
@@ -294,15 +294,13 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
     assert steps([1 - picture for picture in shown], 0.0) == 30
 
 
-def test_errors_are_measured_in_four_views_where_time_is_short(case: Case) -> None:
+def test_errors_are_measured_in_four_views_where_time_is_short() -> None:
     """Each is drawn twice; else in every third view."""
-    trainer = case.trainer(SETTINGS)
-    assert isinstance(trainer, DecogsTrainer)
-    trainer._step_seconds = 1.0
     for seconds, views in ((20, 4), (60, 7)):
         stopping = StoppingRule(deadline=time.perf_counter() + seconds)
-        training: Any = SimpleNamespace(frame=SimpleNamespace(stopping=stopping), settings=SETTINGS, used=range(10, 30))
-        assert len(trainer._probes(training)) == views
+        frame = SimpleNamespace(stopping=stopping, pace=Pace(step=1.0))
+        training: Any = SimpleNamespace(frame=frame, settings=SETTINGS, used=range(10, 30))
+        assert len(_probes(training)) == views
 
 
 @pytest.mark.parametrize(("new", "cached"), [(CACHED, 30), (DecogsTrainer, 0)], ids=["cache", "direct"])
