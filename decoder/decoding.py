@@ -32,7 +32,7 @@ from .reading.stream import Stream
 from .rendering.compositing import Ids, static_ids
 from .rendering.layouts import Layout
 from .rendering.shots import Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
-from .sound.samples import heard_in
+from .sound.samples import mixed_sound
 
 if TYPE_CHECKING:
     from .subject.subject import AnyStream
@@ -212,7 +212,7 @@ def _sound(
                 f"{stream.path}: its sound is left out, since pictures do not show its frames one after the other"
             )
         return None
-    return heard_in(stream, shown)
+    return mixed_sound(stream, shown)
 
 
 def _shown_on(stream: Stream, wanted: str | CameraPath, chosen: range) -> range | None:

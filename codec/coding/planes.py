@@ -53,11 +53,11 @@ def join_planes(counts: PlaneCounts, data: bytes, n: int) -> NDArray[np.unsigned
     if longest == 1 and counts.all():
         return np.asarray(planes.T)
     width = next(w for w in (1, 2, 4, 8) if w >= longest)
-    places = np.zeros((len(counts), n, width), np.uint8)
+    digits = np.zeros((len(counts), n, width), np.uint8)
     start = 0
     for p in range(longest):
         wanted = counts > p
         stop = start + int(wanted.sum())
-        places[wanted, :, p] = planes[start:stop]
+        digits[wanted, :, p] = planes[start:stop]
         start = stop
-    return np.asarray(places.view(f"<u{width}")[:, :, 0].T)
+    return np.asarray(digits.view(f"<u{width}")[:, :, 0].T)

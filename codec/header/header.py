@@ -187,11 +187,11 @@ def _beyond(told: Any, known: Any, path: str) -> Iterator[str]:
             yield from _beyond(value, other, f"{path}[{index}]")
     elif isinstance(told, dict) and isinstance(known, dict):
         for name, value in told.items():
-            place = f"{path}.{name}" if path else name
+            path_of_value = f"{path}.{name}" if path else name
             if name in known:
-                yield from _beyond(value, known[name], place)
+                yield from _beyond(value, known[name], path_of_value)
             elif value:
-                yield place
+                yield path_of_value
 
 
 class _Fields:

@@ -115,12 +115,12 @@ def apply_delta(previous: State, delta: Delta) -> State:
     rows, residuals = _rows_that_stay(delta, stays)
     moved = _moved_rows(previous, rows, residuals)
     arrays = _resized(previous, delta, stays)
-    places = rows_after(delta.removed, rows)
+    kept_rows = rows_after(delta.removed, rows)
     for name, values in moved.items():
         dtype = np.promote_types(arrays[name].dtype, values.dtype)
         if arrays[name] is getattr(previous, name) or arrays[name].dtype != dtype:
             arrays[name] = arrays[name].astype(dtype)
-        _as_items(arrays[name])[places] = _as_items(values.astype(dtype, copy=False))
+        _as_items(arrays[name])[kept_rows] = _as_items(values.astype(dtype, copy=False))
     frozen = {name: read_only(array) for name, array in arrays.items()}
     return State(**frozen, next_id=previous.next_id + len(delta.added), frame=previous.frame + 1)
 

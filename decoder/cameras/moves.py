@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre
 from decogs.formats.errors import UsageError
+from decogs.formats.geometry.axes import point_nearest_axes
 from decogs.formats.geometry.up_direction import up_of
 
 from .fields import pose_of
@@ -57,13 +58,10 @@ def looked_at(cameras: tuple[Camera, ...]) -> Vector:
     """
     centres = np.array([camera_centre(camera) for camera in cameras])
     axes = np.array([camera.world_to_camera[2, :3] for camera in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    normal = across.sum(axis=0)
+    point, is_unique = point_nearest_axes(cameras)
+    if is_unique and ((point - centres) * axes).sum() > 0:
+        return point
     middle, forward = centres.mean(axis=0), axes.mean(axis=0)
-    if np.linalg.cond(normal) < 1e4:
-        point = np.linalg.solve(normal, (across @ centres[:, :, None]).sum(axis=0)[:, 0])
-        if ((point - centres) * axes).sum() > 0:
-            return np.asarray(point)
     return np.asarray(middle + forward / np.linalg.norm(forward) * np.linalg.norm(np.ptp(centres, axis=0)))
 
 

@@ -45,15 +45,15 @@ def nerfstudio_path(data: dict[str, Any], path: Path, film: ToFilm) -> CameraPat
     check_pictures(len(entries), f"{path}")
     size = of_entry(lambda fields: (side(fields, "render_width"), side(fields, "render_height")), data, f"{path}")
     to_world = _to_world(path.parent / TRANSFORMS)
-    places = [f"{path}: camera {k}" for k in range(len(entries))]
+    entry_names = [f"{path}: camera {k}" for k in range(len(entries))]
     cameras = tuple(
         of_entry(lambda entry: _camera(entry, size, to_world), entry, where)
-        for entry, where in zip(entries, places, strict=True)
+        for entry, where in zip(entries, entry_names, strict=True)
     )
     fps = of_entry(_rate, data, f"{path}")
     if all("render_time" in entry for entry in entries):
         last = (film.frame_count or 1) - 1
-        times = [of_entry(_render_time, entry, where) * last for entry, where in zip(entries, places, strict=True)]
+        times = [of_entry(_render_time, entry, where) * last for entry, where in zip(entries, entry_names, strict=True)]
     else:
         times = [
             film.frame_at(k / fps) if fps else float(min(k, (film.frame_count or k + 1) - 1))

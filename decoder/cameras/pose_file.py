@@ -61,17 +61,17 @@ def pose_file_path(data: Any, path: str | os.PathLike[str]) -> CameraPath:
     check_pictures(len(entries), f"{path}")
     listed = isinstance(data, list)
 
-    def place(t: int) -> str:
+    def named(t: int) -> str:
         return f"{path}: camera {t}" if listed else f"{path}"
 
-    cameras = [of_entry(_camera, entry, place(t)) for t, entry in enumerate(entries)]
-    times = [of_entry(_time, entry, place(t)) for t, entry in enumerate(entries)]
+    cameras = [of_entry(_camera, entry, named(t)) for t, entry in enumerate(entries)]
+    times = [of_entry(_time, entry, named(t)) for t, entry in enumerate(entries)]
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:
         raise UsageError(f"{path}: the cameras of a path must have one size, not {len(sizes)} different ones")
     given = tuple(time for time in times if time is not None)
     if given and len(given) < len(times):
-        raise UsageError(f"{place(times.index(None))}: has no frame, and others have; give every entry one, or none")
+        raise UsageError(f"{named(times.index(None))}: has no frame, and others have; give every entry one, or none")
     return CameraPath(tuple(cameras), given or None, source=f"{path}")
 
 

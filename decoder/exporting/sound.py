@@ -17,7 +17,7 @@ from decogs.formats.system.callbacks import OnProgress, OnWarning
 
 from ..frame_choice import open_chosen
 from ..limits import DEFAULT_MAX_MEMORY
-from ..sound.samples import heard_in
+from ..sound.samples import mixed_sound
 
 _LARGEST = (1 << 32) - 64
 """Bytes of samples; a WAV file counts them with 32 bits."""
@@ -63,7 +63,7 @@ def decode_sound(
             wave.open(file, "wb") as written,
         ):
             written.setparams((2, 2, RATE, count, "NONE", ""))
-            for done, piece in enumerate(heard_in(opened, chosen), start=1):
+            for done, piece in enumerate(mixed_sound(opened, chosen), start=1):
                 written.writeframesraw(np.rint(piece.T * 32767).astype("<i2").tobytes())
                 if on_frame is not None:
                     on_frame(done, len(chosen))

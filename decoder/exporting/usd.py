@@ -196,7 +196,7 @@ def follow_dynamic(census: Census, frames: Iterable[ExportFrame], fps: float | N
                 yield moving.rows(just_before(frame.index))
             yield from resting.begin(number, frame)
             ids = resting.movers(number, frame)
-            moving = _Moving(ids, _at_places(census, ids))
+            moving = _Moving(ids, _at_ids(census, ids))
             moving.show(frame)
         assert moving is not None
         if fps is not None:
@@ -294,7 +294,7 @@ def _at_rest(group: str, frame: ExportFrame, ids: Ids, newborn: Splats, until: f
     return Rows(group, frame.index, ids, splats, alive, until)
 
 
-def _at_places(census: Census, ids: Ids) -> Splats:
+def _at_ids(census: Census, ids: Ids) -> Splats:
     """The first values of some of those who ever change."""
     return take_splats(census.newborn, np.searchsorted(census.dynamic_ids, ids))
 
@@ -358,10 +358,10 @@ def _touched(before: ExportFrame, after: ExportFrame) -> Ids:
 def _rows_of(ids: Ids, frame_ids: Ids) -> tuple[Mask, NDArray[np.intp], NDArray[np.intp]]:
     """Where sorted ``ids`` occur in a frame: which do, at which rows of the frame, and at which places of ``ids``."""
     order = np.argsort(frame_ids, kind="stable")
-    place = np.minimum(np.searchsorted(frame_ids, ids, sorter=order), max(len(frame_ids) - 1, 0))
+    sorted_index = np.minimum(np.searchsorted(frame_ids, ids, sorter=order), max(len(frame_ids) - 1, 0))
     if len(frame_ids) == 0:
         return np.zeros(len(ids), np.bool_), np.zeros(0, np.intp), np.zeros(0, np.intp)
-    rows = order[place]
+    rows = order[sorted_index]
     alive = frame_ids[rows] == ids
     return alive, rows[alive], np.flatnonzero(alive)
 

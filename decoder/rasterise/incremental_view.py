@@ -71,9 +71,9 @@ class IncrementalView:
 
     def set_scene(self, scene: Splats) -> None:
         """Starts anew with a whole scene (N Gaussians)."""
-        placed = native_scene(scene)
+        native = native_scene(scene)
         self._population = None
-        self._check(self._run(self._library.decogs_incremental_set_scene, ctypes.byref(placed)))
+        self._check(self._run(self._library.decogs_incremental_set_scene, ctypes.byref(native)))
         self._population = len(scene)
 
     def change(

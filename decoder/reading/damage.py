@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from decogs.formats.errors import StreamError
-from decogs.formats.stream.survey import check_places, is_damage
+from decogs.formats.stream.survey import check_damage_count, is_damage
 
 
 class DamageWarning(UserWarning):
@@ -61,10 +61,10 @@ class Concealment:
     def report(self, damage: Damage) -> None:
         """Each damaged place is reported once, however often it is read."""
         _name(damage.error, self._name)
-        place = damage.error.offset, damage.error.reason, damage.frames, damage.error.sound_of
-        if place not in self._reported:
-            self._reported.add(place)
-            check_places(len(self._reported), damage.error)
+        event = damage.error.offset, damage.error.reason, damage.frames, damage.error.sound_of
+        if event not in self._reported:
+            self._reported.add(event)
+            check_damage_count(len(self._reported), damage.error)
             self._on_damage(damage)
 
 

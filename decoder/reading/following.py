@@ -32,7 +32,7 @@ from decogs.formats.stream.container import (
     stops_inside,
 )
 from decogs.formats.stream.reasons import Reason
-from decogs.formats.stream.survey import check_lost, check_places, next_past_damage, past_unfinished
+from decogs.formats.stream.survey import check_damage_count, check_lost, next_past_damage, past_unfinished
 
 from ..limits import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
 from ..sound.following import ComingSound
@@ -200,7 +200,7 @@ class GrowingStream:
         if not self._concealment.allows(error):
             raise error
         self._damaged_places += 1
-        check_places(self._damaged_places, error)
+        check_damage_count(self._damaged_places, error)
         return error
 
     @contextmanager

@@ -62,10 +62,10 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
 
 def _sound(sound: SoundInfo) -> str:
     track = sound.track
-    place = "" if track.position is None else f", at {','.join(f'{value:g}' for value in track.position)}"
+    position = "" if track.position is None else f", at {','.join(f'{value:g}' for value in track.position)}"
     title = f"{track.title}: " if track.title else ""
     channels = ("mono", "stereo")[track.channels - 1]
-    return f"{title}Opus, {channels}, {RATE} Hz, {sound.seconds:.2f} s, {size_text(sound.bytes)}{place}"
+    return f"{title}Opus, {channels}, {RATE} Hz, {sound.seconds:.2f} s, {size_text(sound.bytes)}{position}"
 
 
 def _coded_effects(name: str, header: StreamHeader) -> str:

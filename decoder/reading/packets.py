@@ -23,24 +23,24 @@ class FramePackets:
 
     def __init__(
         self,
-        places: Callable[[], Survey],
+        survey: Callable[[], Survey],
         reader_at: Callable[[int], PacketReader],
         pass_over: Callable[[StreamError], None],
     ) -> None:
-        self._places, self._reader_at, self._pass_over = places, reader_at, pass_over
+        self._survey, self._reader_at, self._pass_over = survey, reader_at, pass_over
         self._reader: PacketReader | None = None
         self._last: int | None = None
 
     def of(self, frame: int) -> Packet:
         """The packet of a frame; raises StreamError when it is lost or damaged."""
-        places = self._places()
-        entry = places.entry(frame)
+        survey = self._survey()
+        entry = survey.entry(frame)
         reader, self._reader = self._reader, None
         if entry is None:
-            raise places.cause(frame)
+            raise survey.cause(frame)
         if reader is None or self._last != frame - 1:
             # From the very start when no frame is passed over: errors can then count packets.
-            reader = self._reader_at(0 if entry == places.entries[0] else entry.offset)
+            reader = self._reader_at(0 if entry == survey.entries[0] else entry.offset)
         try:
             packet = _next_frame(reader, entry)
         except StreamError as error:

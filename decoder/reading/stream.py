@@ -150,7 +150,7 @@ class Stream:
                 sound = self._sound_of(frame)
             yield sound
 
-    def not_known(self) -> list[str]:
+    def unknown_parts(self) -> list[str]:
         """What the file holds that this version does not know: members of its header, kinds of packets."""
         with self._errors_named():
             header = self._reader(0).next()
@@ -224,8 +224,8 @@ class Stream:
         except StreamError as error:
             if error.reason not in WRONG_INDEX or not self._concealment.allows(error):
                 raise
-            place = self._without_index().entry(frame)
-            if place is None or place == self._survey.entry(frame):
+            indexed = self._without_index().entry(frame)
+            if indexed is None or indexed == self._survey.entry(frame):
                 raise
             self._pass_over_index(error)
             return packets.of(frame)

@@ -36,7 +36,7 @@ def frames_before(fps: float) -> int:
     return int(np.ceil((PRE_ROLL + BLOCK) * fps / RATE))
 
 
-def heard_in(stream: HasSound, frames: range) -> Iterator[FloatArray]:
+def mixed_sound(stream: HasSound, frames: range) -> Iterator[FloatArray]:
     """What is heard in these frames of a stream with sound, all tracks together: stereo (2, N), a piece a frame."""
     header = stream.header
     assert header.fps is not None
@@ -100,10 +100,10 @@ class _Voice:
             if passed < BLOCK:
                 self._put(samples[:, passed:], at + passed - begin)
 
-    def _put(self, samples: FloatArray, place: int) -> None:
-        """Samples that are heard from ``place`` on, counted from the frame's start."""
-        before = self._tail[:, :place]
-        silence = np.zeros((self._channels, place - before.shape[1]), np.float32)
+    def _put(self, samples: FloatArray, offset: int) -> None:
+        """Samples that are heard from ``offset`` on, counted from the frame's start."""
+        before = self._tail[:, :offset]
+        silence = np.zeros((self._channels, offset - before.shape[1]), np.float32)
         self._tail = np.concatenate([before, silence, samples], axis=1)
 
     def between(self, begin: int, end: int) -> FloatArray:

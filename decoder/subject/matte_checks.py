@@ -37,22 +37,22 @@ them, below which someone's is; share of all others' subjects that one denies, f
 
 
 def check_mattes(
-    places: Sequence[str], cameras: Sequence[Camera], alphas: Sequence[FloatArray], warn: OnWarning
+    origins: Sequence[str], cameras: Sequence[Camera], alphas: Sequence[FloatArray], warn: OnWarning
 ) -> str:
     """How the mattes (H, W) of one frame agree, by ``cameras`` without lenses, in words.
 
-    Raises RigError where they cannot be what they should. ``places``: where they come from, for messages. ``warn`` is
+    Raises RigError where they cannot be what they should. ``origins``: where they come from, for messages. ``warn`` is
     called where they contradict each other somewhat.
     """
-    for place, alpha in zip(places, alphas, strict=True):
+    for origin, alpha in zip(origins, alphas, strict=True):
         problem = _problem(alpha)
         if problem:
-            raise RigError(f"{place}: {problem}")
+            raise RigError(f"{origin}: {problem}")
     if not any((alpha > _SURE_SUBJECT).any() for alpha in alphas):
-        raise RigError(f"{places[0]} and all others: black all over, there is no subject; white is subject")
+        raise RigError(f"{origins[0]} and all others: black all over, there is no subject; white is subject")
     if len(cameras) < _MIN_VIEWS:
         return f"mattes can be right; whether they agree only {_MIN_VIEWS} cameras say"
-    return _check_agreement(places, _agreement(cameras, rig_extent(cameras), alphas), warn)
+    return _check_agreement(origins, _agreement(cameras, rig_extent(cameras), alphas), warn)
 
 
 def is_white(alpha: FloatArray) -> bool:
@@ -74,21 +74,21 @@ def _problem(alpha: FloatArray) -> str:
     return ""
 
 
-def _check_agreement(places: Sequence[str], found: _Agreement, warn: OnWarning) -> str:
+def _check_agreement(origins: Sequence[str], found: _Agreement, warn: OnWarning) -> str:
     denying, wrong = int(found.denied.argmax()), int(found.by_all_but_one.argmin())
     if found.by_all_but_one[wrong] < _WRONG:
         raise RigError(
-            f"{places[wrong]}: the other cameras' mattes confirm only {found.by_all_but_one[wrong]:.0%} of its "
+            f"{origins[wrong]}: the other cameras' mattes confirm only {found.by_all_but_one[wrong]:.0%} of its "
             "subject; is it another camera's, mirrored, or of another frame?"
         )
     if found.denied[denying] > _DENIED:
         raise RigError(
-            f"{places[denying]}: leaves out {found.denied[denying]:.0%} of what all other cameras' mattes have; "
+            f"{origins[denying]}: leaves out {found.denied[denying]:.0%} of what all other cameras' mattes have; "
             "draw it whole, or hold the camera out"
         )
     if found.by_all.min() < _DOUBTFUL:
         warn(
-            f"{places[denying]}: mattes contradict each other, this one most, and what one leaves out is lost in all: "
+            f"{origins[denying]}: mattes contradict each other, this one most, and what one leaves out is lost in all: "
             f"at worst {found.by_all.min():.0%} of a camera's subject stays"
         )
         return "mattes agree in part"

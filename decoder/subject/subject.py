@@ -14,7 +14,7 @@ import numpy as np
 
 from decogs.codec.packets.corrections import Corrections
 from decogs.formats.errors import UsageError
-from decogs.formats.mattes import alpha_of, matte_place, stream_matte_rig
+from decogs.formats.mattes import alpha_of, matte_origin, stream_matte_rig
 from decogs.formats.pictures.reading import Picture
 from decogs.formats.rigs import read_frames
 from decogs.formats.rigs.sources import files_of_source
@@ -73,7 +73,7 @@ class SubjectOfStream:
     def _check(self, frame: int, on_warning: OnWarning | None) -> None:
         """Raises RigError where the mattes of a frame cannot be what they should."""
         ((_, pictures),) = read_frames(self._rig, frame, frame + 1)
-        places = [matte_place(self._rig, camera.name, frame) for camera in self._rig.cameras]
+        places = [matte_origin(self._rig, camera.name, frame) for camera in self._rig.cameras]
         pinholes = [plan.pinhole for plan in self._plans]
         check_mattes(places, pinholes, self._alphas(pictures), on_warning or (lambda text: None))
 

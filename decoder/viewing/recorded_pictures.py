@@ -82,13 +82,13 @@ class RecordedPictures:
 
     def _picture(self, source: FrameSource, camera: str, frame: int) -> Picture:
         """Goes on where it can: videos are read in sequence."""
-        place, self._reading = self._reading, None
-        if place is None or place[0] != camera or place[1] > frame:
-            if place is not None:
-                place[2].close()
+        position, self._reading = self._reading, None
+        if position is None or position[0] != camera or position[1] > frame:
+            if position is not None:
+                position[2].close()
             # A video is read from its start however a range begins; other pictures are found by their number.
-            place = camera, frame, source.read(frame, self._frames)
-        _, first, pictures = place
+            position = camera, frame, source.read(frame, self._frames)
+        _, first, pictures = position
         for at, picture in enumerate(pictures, first):
             if at == frame:
                 self._reading = camera, frame + 1, pictures

@@ -1,4 +1,7 @@
-"""The sRGB curve (IEC 61966-2-1), without clipping; results have the type of what is given."""
+"""Display-referred colours: the sRGB curve (IEC 61966-2-1), without clipping, and their brightness.
+
+Results have the type of what is given.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,9 @@ F = TypeVar("F", np.float32, np.float64)
 Colour = tuple[float, float, float]
 """Red, green and blue, display-referred, 0 to 1."""
 BLACK: Colour = (0.0, 0.0, 0.0)
+
+LUMA = np.array([0.299, 0.587, 0.114])
+"""Shares of red, green and blue in a picture's brightness (Rec. 601)."""
 
 
 def linear_from_srgb(coded: NDArray[F]) -> NDArray[F]:

@@ -32,7 +32,7 @@ Leftover = Literal["refused", "kept", "dropped"]
 Expendable = Callable[[Path], bool]
 """Whether the ``NAME.part`` that is there may be replaced, since nobody would go on with it; refused otherwise."""
 
-_Place = tuple[int, int] | str
+_Identity = tuple[int, int] | str
 
 ENDINGS = frozenset({
     ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mxf", ".ts", ".m2ts", ".mts", ".mpg", ".mpeg", ".wmv", ".y4m",
@@ -77,15 +77,15 @@ class Output:
     format: FileFormat | None = None
 
     @property
-    def places(self) -> list[tuple[str, _Place]]:
+    def identities(self) -> list[tuple[str, _Identity]]:
         """Every file that is written on the way, as it is called and as it is compared."""
         if not isinstance(self.file, Path):
-            place = _place_of_open(self.file)
-            return [] if place is None else [("-", place)]
+            identity = _identity_of_open(self.file)
+            return [] if identity is None else [("-", identity)]
         if is_device(self.file):
             return []
         paths = [self.file, part_of(self.file)] if self.grows else [self.file]
-        return [(str(path), _place(path)) for path in paths]
+        return [(str(path), _identity(path)) for path in paths]
 
 
 def files_read(**read: object) -> list[tuple[Path, str]]:
@@ -105,18 +105,18 @@ def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]])
 
     ``inputs``: each file that is read, and what it is called.
     """
-    taken: dict[_Place, str] = {}
-    there = {place for output in outputs for _, place in output.places if isinstance(place, tuple)}
+    taken: dict[_Identity, str] = {}
+    there = {identity for output in outputs for _, identity in output.identities if isinstance(identity, tuple)}
     # A rig can have a hundred thousand pictures: they are looked at only where an output is an existing file.
     for path, called in inputs if there else ():
-        if (read := _place(path)) in there:
+        if (read := _identity(path)) in there:
             taken.setdefault(read, called)
     for output in outputs:
-        places = output.places
-        for name, place in places:
-            if place in taken:
-                raise UsageError(f"`{output.parameter}` {name}: {taken[place]}; name another file")
-        taken |= {place: f"`{output.parameter}` is written there, too" for _, place in places}
+        identities = output.identities
+        for name, identity in identities:
+            if identity in taken:
+                raise UsageError(f"`{output.parameter}` {name}: {taken[identity]}; name another file")
+        taken |= {identity: f"`{output.parameter}` is written there, too" for _, identity in identities}
     for output in outputs:
         if output.format is not None and isinstance(output.file, Path) and not is_device(output.file):
             _check_format(output.parameter, output.file, output.format)
@@ -286,7 +286,7 @@ class GrowingFile:
                 raise TryAgainError(
                     f"{self.path}: another process is writing it; wait for its end, or choose another name"
                 ) from None
-            if _place(self.path) == _place_of_open(file):
+            if _identity(self.path) == _identity_of_open(file):
                 return file
             file.close()  # The other one was done and gave it its name between the two steps.
 
@@ -408,7 +408,7 @@ def _sync_folder(folder: Path) -> None:
             os.close(number)
 
 
-def _place(path: Path) -> _Place:
+def _identity(path: Path) -> _Identity:
     """Which file it is: equal for all its names."""
     try:
         found = path.stat()
@@ -417,7 +417,7 @@ def _place(path: Path) -> _Place:
     return found.st_dev, found.st_ino
 
 
-def _place_of_open(file: BinaryIO) -> _Place | None:
+def _identity_of_open(file: BinaryIO) -> _Identity | None:
     try:
         found = os.fstat(file.fileno())
     except (OSError, AttributeError):  # io.UnsupportedOperation is an OSError: it lies in memory.

@@ -27,10 +27,10 @@ _DIGITS = 6
 
 def is_numbered(path: Path) -> bool:
     """Whether the file's name has a place for the frame's number. Raises UsageError for more than one."""
-    places = len(list(_PLACE.finditer(path.name)))
-    if places > 1:
-        raise UsageError(f"{path}: has {places} places for the frame's number; give one, such as x_####{path.suffix}")
-    return places == 1
+    fields = len(list(_PLACE.finditer(path.name)))
+    if fields > 1:
+        raise UsageError(f"{path}: has {fields} places for the frame's number; give one, such as x_####{path.suffix}")
+    return fields == 1
 
 
 def names_of_frames(path: Path, frames: int | None) -> Callable[[int], str]:
@@ -39,7 +39,7 @@ def names_of_frames(path: Path, frames: int | None) -> Callable[[int], str]:
     Raises UsageError for a name with several places.
     """
     if is_numbered(path):
-        return lambda frame: _PLACE.sub(lambda place: f"{frame:0{_width(place)}d}", path.name)
+        return lambda frame: _PLACE.sub(lambda field: f"{frame:0{_width(field)}d}", path.name)
     if frames == 1:
         return lambda _: path.name
     return lambda frame: f"{path.stem}_{frame:0{_DIGITS}d}{path.suffix}"
@@ -52,10 +52,10 @@ def numbered_files(path: Path) -> list[tuple[int, Path]]:
     """
     if not is_numbered(path):
         raise UsageError(f"{path}: has no place for the frame's number; name the files like x_####{path.suffix}")
-    place = _PLACE.search(path.name)
-    assert place is not None
-    before, after = re.escape(path.name[: place.start()]), re.escape(path.name[place.end() :])
-    pattern = re.compile(f"{before}([0-9]{{{_width(place)},18}}){after}")
+    field = _PLACE.search(path.name)
+    assert field is not None
+    before, after = re.escape(path.name[: field.start()]), re.escape(path.name[field.end() :])
+    pattern = re.compile(f"{before}([0-9]{{{_width(field)},18}}){after}")
     try:
         names = os.listdir(path.parent)
     except OSError as error:
@@ -69,7 +69,7 @@ def numbered_files(path: Path) -> list[tuple[int, Path]]:
     return found
 
 
-def _width(place: re.Match[str]) -> int:
-    if place["signs"]:
-        return len(place["signs"])
-    return int(place["padded"] or place["houdini"] or 1)
+def _width(field: re.Match[str]) -> int:
+    if field["signs"]:
+        return len(field["signs"])
+    return int(field["padded"] or field["houdini"] or 1)

@@ -208,10 +208,10 @@ class Ifd:
             size = struct.calcsize(self._order + entry)
             for _ in range(min(count, _MAX_TAGS)):
                 tag, kind, values = struct.unpack_from(self._order + entry, self._data, at)
-                place = at + size
+                offset = at + size
                 if kind in _TYPES and values * struct.calcsize("=" + _TYPES[kind]) > inline:
-                    (place,) = struct.unpack_from(self._order + head[0], self._data, place)
-                self._entries.setdefault(tag, (kind, values, place))
+                    (offset,) = struct.unpack_from(self._order + head[0], self._data, offset)
+                self._entries.setdefault(tag, (kind, values, offset))
                 at += size + inline
         except (struct.error, OverflowError):
             self._entries.clear()  # cut off
@@ -219,20 +219,20 @@ class Ifd:
     def __contains__(self, tag: int) -> bool:
         return tag in self._entries
 
-    def place(self, tag: int) -> int:
+    def offset(self, tag: int) -> int:
         """Byte where the tag's values begin."""
         return self._entries[tag][2]
 
     def numbers(self, tag: int) -> tuple[int, ...]:
         """The tag's values; () where it is missing, of another type, not whole, or absurdly long."""
-        kind, count, place = self._entries.get(tag, (0, 0, 0))
+        kind, count, offset = self._entries.get(tag, (0, 0, 0))
         if (
             kind not in _TYPES
             or count > _MAX_VALUES
-            or count * struct.calcsize("=" + _TYPES[kind]) > len(self._data) - place
+            or count * struct.calcsize("=" + _TYPES[kind]) > len(self._data) - offset
         ):
             return ()
-        return struct.unpack_from(f"{self._order}{count}{_TYPES[kind]}", self._data, place)
+        return struct.unpack_from(f"{self._order}{count}{_TYPES[kind]}", self._data, offset)
 
     def number(self, tag: int, missing: int) -> int:
         """The tag's first value."""
@@ -244,8 +244,8 @@ class Ifd:
 
     def raw(self, tag: int) -> bytes:
         """The tag's values as bytes; b"" where it is missing or not whole."""
-        kind, count, place = self._entries.get(tag, (0, 0, 0))
-        return self._data[place : place + count] if kind in (1, 2, 7) and count <= len(self._data) - place else b""
+        kind, count, offset = self._entries.get(tag, (0, 0, 0))
+        return self._data[offset : offset + count] if kind in (1, 2, 7) and count <= len(self._data) - offset else b""
 
 
 def _coding_by_camera(ifd: Ifd) -> str:
@@ -280,9 +280,9 @@ def _check_tiff_kind(path: Path, ifd: Ifd) -> None:
 
 def _check_tiff_whole(path: Path, ifd: Ifd, length: int) -> None:
     """Every strip or tile lies inside the file: libtiff leaves what is missing black."""
-    places, sizes = (ifd.numbers(tag) for tag in (_TILES if _TILES[0] in ifd else _STRIPS))
+    offsets, sizes = (ifd.numbers(tag) for tag in (_TILES if _TILES[0] in ifd else _STRIPS))
     # A strip whose size is not stated ends with the file.
-    ends = [place + size for place, size in zip(places, sizes, strict=False)] or list(places)
+    ends = [offset + size for offset, size in zip(offsets, sizes, strict=False)] or list(offsets)
     if not ends or max(ends) > length:
         raise damaged(path, "the TIFF file is truncated")
 
@@ -293,7 +293,7 @@ def tiff_as_stored(data: bytes) -> bytes:
     for tag, plain in ((_ORIENTATION, 1), (_EXTRA_SAMPLES, 0)):
         if ifd.numbers(tag):
             order = "big" if data[:1] == b"M" else "little"
-            out[ifd.place(tag) : ifd.place(tag) + 2] = plain.to_bytes(2, order)  # type: ignore[arg-type]
+            out[ifd.offset(tag) : ifd.offset(tag) + 2] = plain.to_bytes(2, order)  # type: ignore[arg-type]
     return bytes(out)
 
 

@@ -51,8 +51,8 @@ def read_dna_rendering(calibration: Path) -> Rig:
 def _recording(calibration: Path) -> Path:
     """The file with the pictures."""
     name = calibration.name.removesuffix(_ENDING) + ".smc"
-    places = (calibration.parent / name, calibration.parent.parent / "main" / name)
-    found = next((place for place in places if place.is_file()), None)
+    candidates = (calibration.parent / name, calibration.parent.parent / "main" / name)
+    found = next((candidate for candidate in candidates if candidate.is_file()), None)
     if calibration.name == name or found is None:
         raise RigError(f"{calibration}: {name} with its pictures is neither beside it nor in ../main; put it there")
     return found

@@ -307,7 +307,7 @@ def largest_unknown(entries: Iterable[Path]) -> Path | None:
     return max(unknown, key=lambda file: file.stat().st_size, default=None)
 
 
-def but_there_is(path: Path) -> str:
+def other_endings(path: Path) -> str:
     """For a file that is missing: what lies there under its name with another ending, in words, if anything."""
     like = [entry.name for entry in list_folder(path.parent) if composed(entry.stem) == composed(path.stem)]
     return f", but {', '.join(like)} is there" if like else ""

@@ -65,10 +65,10 @@ def read_sound(path: Path, seconds: float, begin: float = 0.0) -> Sound | None:
     if shown is None or not heard:
         return None
     first = min(begun for begun, _ in heard)
-    placed = [(round((begun - first) * RATE), samples) for begun, samples in heard if begun - first <= seconds]
-    samples = np.zeros(max(place + len(own) for place, own in placed), np.float32)
-    for place, own in placed:
-        samples[place : place + len(own)] += own / len(placed)
+    pieces = [(round((begun - first) * RATE), samples) for begun, samples in heard if begun - first <= seconds]
+    samples = np.zeros(max(offset + len(own) for offset, own in pieces), np.float32)
+    for offset, own in pieces:
+        samples[offset : offset + len(own)] += own / len(pieces)
     return Sound(samples, first - shown - begin)
 
 

@@ -223,7 +223,7 @@ class PacketReader:
             error.sound_of = frame if kind == PacketKind.SOUND else None
             raise
         packet = Packet(kind, frame, payload, critical, self._ordinal, self._offset)
-        self._check_place(packet)
+        self._check_order(packet)
         self._consume(packet.size)
         if self._ordinal is not None:
             self._ordinal += 1
@@ -304,7 +304,7 @@ class PacketReader:
         (crc,) = _CRC.unpack_from(self._buffer, _PACKET_HEADER.size)
         return bool(crc == zlib.crc32(bytes(self._buffer[: _PACKET_HEADER.size])))
 
-    def _check_place(self, packet: Packet) -> None:
+    def _check_order(self, packet: Packet) -> None:
         """The header comes first and once; the end packet is well-formed."""
         if (packet.kind == PacketKind.HEADER) != (packet.offset == PROLOGUE_SIZE):
             self._fail(Reason.MISPLACED_PACKET, "a stream has one header packet, which comes first")

@@ -39,25 +39,25 @@ class Survey:
 
     def entry(self, frame: int) -> IndexEntry | None:
         """Where the packet of a frame lies; None when it is lost."""
-        place = self._place(frame)
-        found = place < len(self.entries) and self.entries[place].frame == frame
-        return self.entries[place] if found else None
+        index = self._index(frame)
+        found = index < len(self.entries) and self.entries[index].frame == frame
+        return self.entries[index] if found else None
 
     def keyframe_before(self, frame: int) -> int | None:
         """The last keyframe before ``frame``, None when there is none."""
-        places = range(self._place(frame) - 1, -1, -1)
-        return next((self.entries[i].frame for i in places if self.entries[i].kind == PacketKind.KEY), None)
+        indices = range(self._index(frame) - 1, -1, -1)
+        return next((self.entries[i].frame for i in indices if self.entries[i].kind == PacketKind.KEY), None)
 
     def keyframe_after(self, frame: int) -> int | None:
         """The first keyframe after ``frame``, None when there is none."""
-        places = range(self._place(frame + 1), len(self.entries))
-        return next((self.entries[i].frame for i in places if self.entries[i].kind == PacketKind.KEY), None)
+        indices = range(self._index(frame + 1), len(self.entries))
+        return next((self.entries[i].frame for i in indices if self.entries[i].kind == PacketKind.KEY), None)
 
     def cause(self, frame: int) -> StreamError:
         """What is wrong where the packet of a lost frame should lie."""
-        place = self._place(frame)
-        low = self.entries[place - 1].offset if place else 0
-        high = self.entries[place].offset if place < len(self.entries) else None
+        index = self._index(frame)
+        low = self.entries[index - 1].offset if index else 0
+        high = self.entries[index].offset if index < len(self.entries) else None
         first = bisect_left(self.damage, low, key=_offset)
         if first < len(self.damage) and (high is None or _offset(self.damage[first]) < high):
             return self.damage[first]
@@ -71,7 +71,7 @@ class Survey:
         causes = {id(self.cause(frame)) for frame in gaps}
         return (error for error in self.damage if id(error) not in causes)
 
-    def _place(self, frame: int) -> int:
+    def _index(self, frame: int) -> int:
         if 0 <= frame < len(self.entries) and self.entries[frame].frame == frame:
             return frame  # none is lost before it
         return bisect_left(self.entries, frame, key=_frame)
@@ -112,9 +112,9 @@ def check_lost(frames: int, found: int) -> None:
         raise StreamError(Reason.TOO_LARGE, message)
 
 
-def check_places(places: int, error: StreamError) -> None:
+def check_damage_count(indices: int, error: StreamError) -> None:
     """Raises StreamError "too-large" when, with this one, so many places are damaged that the stream is refused."""
-    if places > MAX_DAMAGED_PLACES:
+    if indices > MAX_DAMAGED_PLACES:
         raise StreamError(Reason.TOO_LARGE, "the stream is damaged in too many places", offset=error.offset)
 
 
@@ -196,7 +196,7 @@ class _Search:
 
     def damage(self, error: StreamError) -> None:
         self._damage.append(error)
-        check_places(len(self._damage), error)
+        check_damage_count(len(self._damage), error)
 
     def survey(self, complete: bool, unfinished_bytes: int) -> Survey:
         return survey(

@@ -221,7 +221,7 @@ class InstancerPrims(Prims):
             "ids": _Track(instancer.CreateIdsAttr(), integers),
             "prototypes": _Track(instancer.CreateProtoIndicesAttr(), numbers),
             "widths": _Track(widths, floats),
-            "positions": _places(instancer, moving=splats.velocities is not None),
+            "positions": _positions(instancer, moving=splats.velocities is not None),
             "rotations": _Track(instancer.CreateOrientationsAttr(), _quath_array),
             "scales": _Track(instancer.CreateScalesAttr(), vectors),
             "colours": _Track(_primvar(instancer, "displayColor", colour), vectors),
@@ -322,7 +322,7 @@ def _sh_of(splats: UsdSplats) -> FloatArray:
     return splats.sh
 
 
-def _places(instancer: Any, *, moving: bool) -> _Track:
+def _positions(instancer: Any, *, moving: bool) -> _Track:
     """Where instances are and, in the same track, how fast they move."""
     from pxr import Vt
 

@@ -250,14 +250,14 @@ def open_video(path: Path) -> VideoSource:
         else:
             count = times.size
             _look_through(path, container, stream, times, keyframes, first)
-        shown = shown_as(path, first, stream.index)
+        shown = presentation_of(path, first, stream.index)
         at = [] if times is None else np.searchsorted(times, sorted(listing.dropped)).tolist()
         video = replace(shown, frame_count=count, fps=fps, times=times, keyframes=keyframes, dropped=frozenset(at))
         video.picture(first, 0)
     return replace(video, warnings=(_warning(colours),) if colours else ())
 
 
-def shown_as(path: Path, first: VideoFrame, track: int = 0) -> VideoSource:
+def presentation_of(path: Path, first: VideoFrame, track: int = 0) -> VideoSource:
     """How a video's frames are shown, by its first one: size, turn, edges, siting; its frames are not known."""
     turn, edges = _turn(path, first), edges_of_track(path, track, (first.width, first.height))
     width, height = first.width - edges[0] - edges[2], first.height - edges[1] - edges[3]

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..matching import mutual_matches
 from .footage import U8
 
 F64 = NDArray[np.float64]
@@ -40,8 +41,6 @@ _SHIFTS_WIDTH, _SHIFTS_RESPONSE = 640, 0.4
 """Of pictures that are held against each other, and the response of phase correlation from which it is believed: a
 camera of `workbench` that is knocked has .6, one of `workbench_drift`, which shakes, .8; false shifts on seven
 recordings have up to .37."""
-_LOWE_RATIO = 0.8
-"""Largest distance of the best match over the second best."""
 _MAX_DISTANCE = 0.7
 """Largest distance of descriptors of length 1, as COLMAP has it."""
 
@@ -144,19 +143,6 @@ def matched(here: Features, there: Features) -> I64:
     found = [np.zeros((0, 2), np.int64)]
     for instant in np.intersect1d(here.instants, there.instants):
         rows, columns = np.flatnonzero(here.instants == instant), np.flatnonzero(there.instants == instant)
-        if len(rows) > 1 and len(columns) > 1:
-            best = _mutual(here.descriptors[rows], there.descriptors[columns])
-            found.append(np.stack([rows[best[:, 0]], columns[best[:, 1]]], axis=1))
+        one, other = mutual_matches(here.descriptors[rows], there.descriptors[columns], max_distance=_MAX_DISTANCE)
+        found.append(np.stack([rows[one], columns[other]], axis=1))
     return np.concatenate(found)
-
-
-def _mutual(here: NDArray[np.float32], there: NDArray[np.float32]) -> I64:
-    """Rows (M, 2) of descriptors of length 1: squared distances are 2 less twice the products."""
-    products = here @ there.T
-    rows, best = np.arange(len(here)), products.argmax(axis=1)
-    product = products[rows, best]
-    is_mutual = product == products.max(axis=0)[best]
-    products[rows, best] = -np.inf
-    distance, next_best = 2 - 2 * product, 2 - 2 * products.max(axis=1)
-    good = is_mutual & (distance < _LOWE_RATIO**2 * next_best) & (distance < _MAX_DISTANCE**2)
-    return np.stack([rows[good], best[good]], axis=1)

@@ -138,9 +138,9 @@ def light_at(pictures: U8, pixels: F64) -> F64:
         np.clip(np.floor(pixels[:, axis]).astype(np.int64) + shift, 0, size - 1)
         for axis, size, shift in ((1, height, _POINT_WINDOW[0]), (0, width, _POINT_WINDOW[1]))
     )
-    places = row * width + column
+    pixel_numbers = row * width + column
     for index, picture in enumerate(pictures):
-        around = picture.reshape(-1, 3).take(places, axis=0)
+        around = picture.reshape(-1, 3).take(pixel_numbers, axis=0)
         # Below black, 8 bits go on from white: both ends are one comparison.
         ends = (around - np.uint8(_CLIPPED_LEVELS)) > 255 - 2 * _CLIPPED_LEVELS
         clipped = (ends[..., 0] | ends[..., 1] | ends[..., 2]).mean(axis=0)

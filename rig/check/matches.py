@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from decogs.decoder.cameras.lens import undistort_pixels
 from decogs.formats.cameras import Camera, camera_centre
 
+from ..matching import mutual_matches
+
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
@@ -24,8 +26,6 @@ _MAX_AXES_ANGLE = 1.0
 """Angle between optical axes, in radians, beyond which SIFT hardly matches."""
 NEAR_LINE_PIXELS = 3.0
 """Largest distance of a reliable match from its epipolar line, in pixels, with room for uncalibrated distortion."""
-_LOWE_RATIO = 0.8
-"""Lowe's ratio: largest distance of the best match over the second best."""
 
 
 @dataclass(frozen=True)
@@ -173,21 +173,5 @@ def neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
 
 def matched(first: int, second: int, here: Features, there: Features) -> PairMatches:
     """Matches of two pictures, of the cameras ``first`` and ``second``: mutual ones, clearly better than the next."""
-    rows, columns = _mutual(here.descriptors, there.descriptors)
+    rows, columns = mutual_matches(here.descriptors, there.descriptors)
     return PairMatches(first, second, here.pixels[rows], there.pixels[columns], here.rays[rows], there.rays[columns])
-
-
-def _mutual(here: NDArray[np.float32], there: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows that are each other's best match, and clearly better than the second best."""
-    if len(here) < 2 or len(there) < 2:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    # Descriptors have length 1, so that squared distances are 2 less twice the products; OpenCV's matcher takes ten
-    # times as long as one product of matrices.
-    products = here @ there.T
-    rows, best = np.arange(len(here)), products.argmax(axis=1)
-    product = products[rows, best]
-    # Largest values take a fifteenth of the time that their rows would.
-    is_mutual = product == products.max(axis=0)[best]
-    products[rows, best] = -np.inf
-    found = np.flatnonzero((np.maximum(1 - product, 0) < _LOWE_RATIO**2 * (1 - products.max(axis=1))) & is_mutual)
-    return found, best[found]

@@ -16,7 +16,7 @@ def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> str:
     """How the mattes of the ``first`` frame agree, in words; raises RigError where they cannot be what they should."""
     for text in ingest.matte_warnings:
         warn(text)
-    places = [ingest.matte_place(view.camera.name, first.index) for view in ingest.views]
+    places = [ingest.matte_origin(view.camera.name, first.index) for view in ingest.views]
     agree = matte_checks.check_mattes(places, [view.pinhole for view in ingest.views], first.alpha, warn)
     worn = int(np.argmax(first.worn)) if first.worn else 0
     if first.worn and first.worn[worn] > _MAX_WORN:

@@ -76,8 +76,8 @@ def plan(
     low, high = _box(centres @ axes.T, None if points is None else points @ axes.T, reach)
     scale = (_SIZE - 2 * _MARGIN) / max(float((high - low).max()), 1e-9)
 
-    def drawn(places: F64) -> F64:
-        return np.asarray(_SIZE / 2 + scale * (places @ axes.T - (low + high) / 2))
+    def drawn(world_points: F64) -> F64:
+        return np.asarray(_SIZE / 2 + scale * (world_points @ axes.T - (low + high) / 2))
 
     at = {camera.name: drawn(centre) for camera, centre in zip(cameras, centres, strict=True)}
     most = max(links.values(), default=1)
@@ -89,8 +89,8 @@ def plan(
     for (one, two), count in links.items():
         (x1, y1), (x2, y2) = at[one], at[two]
         width = max(0.5, _MOST_STROKE * count / most)
-        place = f"x1='{x1:.1f}' y1='{y1:.1f}' x2='{x2:.1f}' y2='{y2:.1f}'"
-        parts.append(f"<line {place} stroke='#9ab' stroke-width='{width:.1f}' stroke-opacity='.5'/>")
+        ends = f"x1='{x1:.1f}' y1='{y1:.1f}' x2='{x2:.1f}' y2='{y2:.1f}'"
+        parts.append(f"<line {ends} stroke='#9ab' stroke-width='{width:.1f}' stroke-opacity='.5'/>")
     for camera in cameras:
         outline = drawn(_frustum(camera, _DEPTH_PIXELS / scale)).astype(np.float32)
         corners = " ".join(f"{x:.1f},{y:.1f}" for x, y in cv2.convexHull(outline).reshape(-1, 2))

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.colours.srgb import LUMA
 from decogs.formats.pictures.reading import Picture
 
 from ..pictures.dropouts import blankness
@@ -31,7 +32,6 @@ BANDS = 3
 """Bands of detail, each of twice the size of the one before."""
 _SIGMAS = (1.0, 2.0, 4.0)
 """Blurs, in pixels, between which a band lies; the first band begins at the pixel."""
-_LUMA = np.array([0.299, 0.587, 0.114])
 _MAX_CHANGE_SHARE = 0.25
 """Largest change of a repeat, in shares of the other cameras' median ..."""
 _MAX_OWN_SHARE, _OWN_QUANTILE = 0.4, 0.9
@@ -109,7 +109,7 @@ def find_lost(pictures: Sequence[U8], step: int = 1, unread: BoolArray | None = 
 def detail(picture: Picture) -> F64:
     """Mean squares (BANDS,) of a picture's details (H, W, 3) by size, in levels: finest first."""
     levels = np.asarray(picture if picture.dtype == np.uint8 else display_referred(picture) * 255, np.float32)
-    grey = np.asarray(cv2.transform(levels, _LUMA[None].astype(np.float32)), np.float32)
+    grey = np.asarray(cv2.transform(levels, LUMA[None].astype(np.float32)), np.float32)
     return np.array([float(np.square(band).mean()) for band in _bands(grey)])
 
 
@@ -119,7 +119,7 @@ def sharpness(details: F64, noise: F64) -> F64:
     ``details`` (cameras, BANDS); ``noise`` (cameras,): deviation in levels, whose share is taken off. NaN of a camera
     that shows nothing.
     """
-    of_noise = (_LUMA**2).sum() * noise[:, None] ** 2 * _NOISE_SHARES
+    of_noise = (LUMA**2).sum() * noise[:, None] ** 2 * _NOISE_SHARES
     clean = np.maximum(details - of_noise, 1e-3 * details)
     ratios = np.where(clean[:, 1:] > 0, clean[:, :-1] / np.maximum(clean[:, 1:], 1e-9), np.nan)
     return np.asarray(ratios / _median(ratios))

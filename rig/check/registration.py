@@ -128,7 +128,7 @@ def _similarity(at: F64, moved: F64) -> tuple[F64, float]:
 
     Places and displacements are complex numbers, so that turning and growing are one factor.
     """
-    places, moves = at @ _COMPLEX, moved @ _COMPLEX
+    positions, moves = at @ _COMPLEX, moved @ _COMPLEX
     shift = complex(np.median(moved[:, 0]), np.median(moved[:, 1]))
     fitted = np.full(len(at), shift)
     factor = 0j
@@ -137,12 +137,12 @@ def _similarity(at: F64, moved: F64) -> tuple[F64, float]:
         spread = max(1.5 * float(np.median(missed)), _MIN_SPREAD_PIXELS)
         weight = np.maximum(0.0, 1 - (missed / (4 * spread)) ** 2)
         whole = weight.sum()
-        middle, mean = (weight @ places) / whole, (weight @ moves) / whole
-        around = places - middle
+        middle, mean = (weight @ positions) / whole, (weight @ moves) / whole
+        around = positions - middle
         weighted = weight * around.conj()
         factor = (weighted @ (moves - mean)) / max((weighted @ around).real, 1e-6)
         shift = mean - factor * middle
-        fitted = shift + factor * places
+        fitted = shift + factor * positions
     size = float(np.sqrt((np.abs(fitted) ** 2).mean()))
     still = float(np.quantile(np.abs(moves), _STILL_FRACTION))
     alike = np.median(np.abs(moves - fitted)) <= max(_MAX_DEVIATION_SHARE * size, SHAKE_LIMIT_PIXELS)

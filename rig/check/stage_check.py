@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from decogs.decoder.cameras.lens import Undistortion
 from decogs.decoder.subject.hull import Hull
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
+from decogs.formats.colours.srgb import LUMA
 from decogs.formats.splats import FloatArray
 
 from ..pictures.ingest import display_referred
@@ -21,7 +22,6 @@ from ..stage.surfaces import surface_colours
 
 F64 = NDArray[np.float64]
 
-_LUMA = np.array([0.299, 0.587, 0.114])
 _MIN_SATURATION = 0.15
 """Chroma of a backdrop, relative to its luma, from which it has a colour to key: greys of cameras have up to .05."""
 _KEY_DEGREES, _KEY_SATURATION = 15.0, 0.5
@@ -191,11 +191,11 @@ def first_met(stage: PlainStage, centre: F64, rays: NDArray[np.floating]) -> F64
     """Where rays (N, 3) from a camera's ``centre`` meet the stage's hull or its backdrop, world points (N, 3)."""
     distance = float(np.linalg.norm(stage.surfaces.middle - centre))
     depths = np.geomspace(_NEAREST * distance, distance + _BEYOND * stage.surfaces.radius, _DEPTHS)
-    places = centre + depths[:, None] * rays[:, None]
-    flat = places.reshape(-1, 3)
-    ends = (stage.hull.holds(flat) | (stage.surfaces.clearance(flat) <= 0)).reshape(places.shape[:2])
+    points = centre + depths[:, None] * rays[:, None]
+    flat = points.reshape(-1, 3)
+    ends = (stage.hull.holds(flat) | (stage.surfaces.clearance(flat) <= 0)).reshape(points.shape[:2])
     ends[:, -1] = True
-    return np.asarray(places[np.arange(len(places)), ends.argmax(axis=1)])
+    return np.asarray(points[np.arange(len(points)), ends.argmax(axis=1)])
 
 
 def _subject_share(stage: PlainStage, view: _Shown) -> float:
@@ -228,7 +228,7 @@ def _shadow(stage: PlainStage, shown: Sequence[_Shown]) -> float:
         facing = ((camera_centre(view.camera) - xyz) * normals).sum(axis=1) > 0
         rows = np.flatnonzero(in_picture(view.camera, u, v, depth) & facing)
         at = v[rows].astype(np.int64), u[rows].astype(np.int64)
-        light = cv2.blur(view.picture, (3, 3)) @ _LUMA / np.maximum(view.plate @ _LUMA, 1 / 255)
+        light = cv2.blur(view.picture, (3, 3)) @ LUMA / np.maximum(view.plate @ LUMA, 1 / 255)
         brightest[rows] = np.maximum(brightest[rows], light[at])
         counts[rows] += 1
     dark = brightest[(counts >= _MIN_SHADOW_VIEWS) & (brightest < _SHADOW_LIGHT)]
@@ -275,7 +275,7 @@ def _key(stage: PlainStage, shown: Sequence[_Shown], backdrop: FloatArray) -> Ke
     subject = np.concatenate([_inner_colours(within, *each) for each in zip(shown, cores, strict=True)])
     aside, strength = _against(angle, subject)
     worn = (aside <= _KEY_DEGREES) & (strength >= _KEY_SATURATION * saturation)
-    worn &= subject @ _LUMA >= _KEY_LUMA * (screen @ _LUMA)
+    worn &= subject @ LUMA >= _KEY_LUMA * (screen @ LUMA)
     return KeyCheck(angle, spread, float(worn.sum()) / max(len(worn), 1))
 
 
@@ -298,6 +298,6 @@ def _against(angle: float, colours: FloatArray) -> tuple[F64, F64]:
 
 def _chroma(colours: FloatArray) -> tuple[F64, F64]:
     """Angle (N,) in the CbCr plane, degrees, and saturation (N,): chroma relative to luma. Source: ITU-R BT.601."""
-    luma = colours @ _LUMA
+    luma = colours @ LUMA
     blue, red = 0.564 * (colours[:, 2] - luma), 0.713 * (colours[:, 0] - luma)
     return np.degrees(np.arctan2(red, blue)), np.hypot(blue, red) / np.maximum(luma, 1 / 255)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.colours.srgb import LUMA
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
@@ -23,7 +24,7 @@ from .cutting import BoolArray, Subject, cut_out
 from .filling import shrunk_and_filled
 
 _COLOURS = {"green": (0, 255, 0), "blue": (0, 0, 255)}
-_Y = np.array([0.299, 0.587, 0.114], np.float32)
+_Y = LUMA.astype(np.float32)
 _CBCR = np.array([[-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], np.float32)
 """ITU-T T.871, without offsets."""
 

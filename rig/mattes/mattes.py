@@ -10,7 +10,7 @@ import numpy as np
 
 from decogs.formats.colours.srgb import linear_from_srgb, srgb_from_linear
 from decogs.formats.errors import RigError
-from decogs.formats.mattes import alpha_of, matte_place, matte_rig, own_alpha_rig, pictures_per_camera
+from decogs.formats.mattes import alpha_of, matte_origin, matte_rig, own_alpha_rig, pictures_per_camera
 from decogs.formats.pictures.reading import Picture, read_picture
 from decogs.formats.rigs import OnLost, Rig, read_frames
 from decogs.formats.rigs.sources import files_of_source, list_folder, refuse_unknown_kinds
@@ -18,7 +18,7 @@ from decogs.formats.splats import FloatArray
 
 from .choice import MatteChoice
 from .chroma_key import key_axis, keyed
-from .chroma_place import chroma_in_place
+from .chroma_siting import centred_chroma
 from .clean_plate import before_plate
 from .cutting import BoolArray, Subject, with_alpha
 from .filling import push_pull
@@ -61,11 +61,11 @@ class Mattes:
         """Whether there are mattes, not only pixels that teach nothing."""
         return self.rig is not None or self.key is not None or bool(self.plates)
 
-    def place(self, name: str, frame: int) -> str:
+    def origin(self, name: str, frame: int) -> str:
         """Where the matte of a camera and frame comes from, for a message."""
         if self.rig is None or name not in [camera.name for camera in self.rig.cameras]:
             return f"the matte of camera {name}, frame {frame}"
-        return matte_place(self.rig, name, frame)
+        return matte_origin(self.rig, name, frame)
 
     def given(
         self, names: Collection[str], start: int, stop: int, on_lost: OnLost | None = None
@@ -78,7 +78,7 @@ class Mattes:
         for _, mattes in read_frames(self.rig, start, stop, names=having, on_lost=on_lost):
             yield {name: alpha_of(matte) for name, matte in zip(having, mattes, strict=True)}
 
-    def told(self, name: str, given: FloatArray | None) -> Iterator[Picture]:
+    def digest_inputs(self, name: str, given: FloatArray | None) -> Iterator[Picture]:
         """Whatever makes a cut picture another one, as arrays."""
         if given is not None:
             yield given
@@ -94,7 +94,7 @@ class Mattes:
         if given is not None:
             return Cut(self._own_colours(name, picture, given), given)
         if self.key is not None:
-            found = keyed(linear(chroma_in_place(picture)), self.key)
+            found = keyed(linear(centred_chroma(picture)), self.key)
             if found is None:
                 raise RigError(f"camera {name} shows no screen of the colour of `key`; check it, or use `masks`")
             return Cut(_like(picture, found.subject), found.subject.alpha, found.worn)

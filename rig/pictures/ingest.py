@@ -150,9 +150,9 @@ class Ingest:
         """What the user should know of the mattes' files, a line each."""
         return () if self._mattes.rig is None else self._mattes.rig.warnings
 
-    def matte_place(self, name: str, frame: int) -> str:
+    def matte_origin(self, name: str, frame: int) -> str:
         """Where the matte of a camera and frame comes from, for a message."""
-        return self._mattes.place(name, frame)
+        return self._mattes.origin(name, frame)
 
     @property
     def held_out_sizes(self) -> dict[str, tuple[Size, Size]]:
@@ -234,7 +234,7 @@ class Ingest:
         """Of each training camera's picture, and of what cuts its subject out."""
         shown = zip(self._names, pictures, strict=False)
         return {
-            name: "".join(map(digest_of, [picture, *self._mattes.told(name, mattes.get(name))]))
+            name: "".join(map(digest_of, [picture, *self._mattes.digest_inputs(name, mattes.get(name))]))
             for name, picture in shown
         }
 

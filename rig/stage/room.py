@@ -30,11 +30,11 @@ def plain_points(views: Sequence[PlainView], xyz: F64, normals: F64) -> BoolArra
 
 def pixels_beside(camera: Camera, xyz: F64, normals: F64, wall: BoolArray) -> BoolArray:
     """Pixels (H, W) whose nearest one of the points (P, 3) on surfaces is none of the ``wall``."""
-    rows, places = _facing(camera, xyz, normals)
+    rows, pixels = _facing(camera, xyz, normals)
     if not len(rows):
         return np.ones((camera.height, camera.width), bool)
     grid = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
-    nearest = nearest_of(places, grid.reshape(-1, 2))
+    nearest = nearest_of(pixels, grid.reshape(-1, 2))
     return np.asarray(~wall[rows[nearest]].reshape(camera.height, camera.width))
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from decogs.decoder.subject.hull import BoolArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, turned
+from decogs.formats.geometry.axes import point_nearest_axes
 from decogs.formats.splats import FloatArray
 
 from ..numerics import floats
@@ -160,15 +161,8 @@ def find_room(walls: Sequence[PlainView], whole: Sequence[PlainView]) -> Surface
 def _around(views: Sequence[PlainView]) -> tuple[F64, F64, float]:
     """The cameras' centres (V, 3), the middle of what they look at (3,), and how far they usually are from it."""
     centres = np.array([camera_centre(view.camera) for view in views])
-    middle = _looked_at(centres, np.array([view.camera.world_to_camera[2, :3] for view in views]))
+    middle, _ = point_nearest_axes([view.camera for view in views])
     return centres, middle, float(np.median(np.linalg.norm(centres - middle, axis=1)))
-
-
-def _looked_at(centres: F64, forward: F64) -> F64:
-    """The point nearest to all optical axes, (3,)."""
-    across = np.eye(3) - forward[:, :, None] * forward[:, None]
-    point, *_ = np.linalg.lstsq(across.sum(axis=0), (across * centres[:, None]).sum(axis=(0, 2)), rcond=1e-3)
-    return np.asarray(point)
 
 
 def _upward(views: Sequence[PlainView], centres: F64) -> list[F64]:
@@ -192,8 +186,8 @@ def _axes(up: F64) -> F64:
 class _Search:
     def __init__(self, views: Sequence[PlainView], middle: F64, axes: F64, distance: float) -> None:
         self._views, self._middle, self._axes, self._distance = views, middle, axes, distance
-        places = turned(axes, np.array([camera_centre(view.camera) for view in views]) - middle)
-        self._outermost = float(max(np.hypot(places[:, 0], places[:, 1]).max(), places[:, 2].max()))
+        values = turned(axes, np.array([camera_centre(view.camera) for view in views]) - middle)
+        self._outermost = float(max(np.hypot(values[:, 0], values[:, 1]).max(), values[:, 2].max()))
         """Radius of the wall and its lid that just hold all cameras."""
 
     def floor(self, lowest_camera: float) -> tuple[float, float] | None:
@@ -212,8 +206,8 @@ class _Search:
         """Height of a floor with texture; None where the colours of no height agree better than those nearby."""
         heights, disc, normals = self._heights(lowest_camera)
 
-        def costs_at(places: F64) -> F64:
-            return np.array([self._median_disagreement(disc + np.array([0, 0, each]), normals) for each in places])
+        def costs_at(values: F64) -> F64:
+            return np.array([self._median_disagreement(disc + np.array([0, 0, each]), normals) for each in values])
 
         costs, reach = costs_at(heights), _NEARBY_STEPS
         if len(costs) <= 2 * reach:
@@ -303,15 +297,15 @@ def plain_colours(view: PlainView, xyz: F64, normals: F64) -> tuple[NDArray[np.i
     return rows[plain], view.plate[row[plain], column[plain]]
 
 
-def _minimum(cost: Callable[[float], float], places: F64) -> tuple[float, float, float] | None:
+def _minimum(cost: Callable[[float], float], values: F64) -> tuple[float, float, float] | None:
     """Least cost, its place, and how much less it is than the usual one; None without a finite cost."""
-    costs = np.array([cost(place) for place in places])
+    costs = np.array([cost(value) for value in values])
     if not np.isfinite(costs).any():
         return None
     at = int(np.argmin(costs))
     usual = float(np.median(costs[np.isfinite(costs)]))
-    fine = np.linspace(places[max(at - 1, 0)], places[min(at + 1, len(places) - 1)], _FINE_STEPS)
-    finer = np.array([cost(place) for place in fine])
+    fine = np.linspace(values[max(at - 1, 0)], values[min(at + 1, len(values) - 1)], _FINE_STEPS)
+    finer = np.array([cost(value) for value in fine])
     finest = int(np.argmin(finer))
     return float(finer[finest]), float(fine[finest]), usual / max(float(finer[finest]), 1e-9)
 
@@ -330,8 +324,8 @@ def surface_colours(views: Sequence[PlainView], xyz: F64, normals: F64) -> Float
     return floats(mean)
 
 
-def nearest_of(points: F64, places: F64) -> NDArray[np.int64]:
-    """Rows of the nearest of ``points`` (P, D) to each of ``places`` (Q, D)."""
+def nearest_of(points: F64, values: F64) -> NDArray[np.int64]:
+    """Rows of the nearest of ``points`` (P, D) to each of ``values`` (Q, D)."""
     tree = cv2.flann.Index(points.astype(np.float32), {"algorithm": 4, "leaf_max_size": 10})
-    rows, _ = tree.knnSearch(places.astype(np.float32), 1, params={"checks": -1})
+    rows, _ = tree.knnSearch(values.astype(np.float32), 1, params={"checks": -1})
     return np.asarray(rows[:, 0], np.int64)

@@ -65,7 +65,7 @@ def find_drifts(rig: Rig, starts: Mapping[str, RigTime], each: Each) -> dict[str
     return {name: drift for name, drift in found.items() if abs(drift.frames) > _NOTICED}
 
 
-def said(drifts: Mapping[str, Drift], timeline: Timeline) -> Iterator[str]:
+def warnings_of(drifts: Mapping[str, Drift], timeline: Timeline) -> Iterator[str]:
     """A warning for each: by how much, and how to mend it."""
     for name, drift in drifts.items():
         seconds = float(timeline.seconds_of(drift.between))

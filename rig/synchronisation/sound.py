@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.geometry.axes import point_nearest_axes
 from decogs.formats.sound.tracks import RATE, Sound
 
 from .joint import Joint
@@ -132,8 +133,5 @@ def _joint(count: int, pairs: Sequence[_Pair]) -> tuple[F64, F64, F64]:
 def _distances(cameras: Sequence[Camera]) -> F64:
     """Of the cameras (cameras,) from the point that their optical axes pass nearest, world units."""
     centres = np.array([camera_centre(camera) for camera in cameras])
-    axes = np.array([camera.world_to_camera[2, :3] for camera in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    # Parallel axes pass each other nowhere: then the nearest such point to the cameras is as good as any.
-    point = np.linalg.lstsq(across.sum(axis=0), (across @ centres[:, :, None]).sum(axis=0)[:, 0], rcond=1e-3)[0]
+    point, _ = point_nearest_axes(cameras)
     return np.asarray(np.linalg.norm(centres - point, axis=1))

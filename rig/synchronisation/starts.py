@@ -24,7 +24,7 @@ from decogs.formats.system.callbacks import OnProgress
 from decogs.formats.videos.reading import VideoSource
 
 from ..parallel import Each, side_by_side
-from .drift import find_drifts, said
+from .drift import find_drifts, warnings_of
 from .joint import Joint
 from .motion import starts_by_motion
 from .small import MAX_FRAMES, small_camera, small_clip, small_grey
@@ -101,7 +101,7 @@ def find_starts(rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done
         found, warnings = _without_pictures(rig, sounds)
         together = joined(names, rig.timeline.rate, [*found, (MOTION, whole_if_in_step(moved))])
         drifts = find_drifts(rig, together.starts, each) if together.starts else {}
-    return replace(together, warnings=(*warnings, *together.warnings, *said(drifts, rig.timeline)))
+    return replace(together, warnings=(*warnings, *together.warnings, *warnings_of(drifts, rig.timeline)))
 
 
 def find_starts_without_poses(rig: Rig, *, threads: int = 0) -> Synchrony:
@@ -138,7 +138,7 @@ def frames_late(cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]
     return ordinary - starts + 0.0  # not -0
 
 
-def known(joint: Joint) -> NDArray[np.bool_]:
+def is_reliable(joint: Joint) -> NDArray[np.bool_]:
     """Which starts (cameras,) are to be believed: their pairs agree, and the whole frame is likely right."""
     return np.isfinite(joint.starts) & (joint.votes >= _MIN_VOTES) & (_chances(joint) >= _MIN_CHANCE)
 
@@ -148,7 +148,7 @@ def whole_if_in_step(joint: Joint) -> Joint:
 
     Unknown ones become NaN.
     """
-    starts = np.where(known(joint), joint.starts, np.nan)
+    starts = np.where(is_reliable(joint), joint.starts, np.nan)
     if np.isfinite(starts).any():
         phase = _phase(starts[np.isfinite(starts)])
         apart = starts - phase - np.round(starts - phase)
@@ -164,7 +164,7 @@ def joined(names: Sequence[str], rate: Fraction | None, found: Sequence[tuple[st
     confidences = np.zeros(len(names))
     warnings: list[str] = []
     for method, joint in found:
-        says = known(joint)
+        says = is_reliable(joint)
         both = says & np.isfinite(offsets)
         if says.sum() < 2 or (np.isfinite(offsets).any() and not both.any()):
             continue

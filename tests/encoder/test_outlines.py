@@ -8,7 +8,7 @@ import pytest
 
 from decogs.rig.mattes import outlines
 from decogs.rig.mattes.chroma_key import key_axis, keyed
-from decogs.rig.mattes.chroma_place import chroma_in_place
+from decogs.rig.mattes.chroma_siting import centred_chroma
 from decogs.rig.mattes.mattes import linear
 from stages.make import coded, light_on_backdrop, look, render
 from stages.scenes import STAGES, cameras, on_stage
@@ -89,8 +89,8 @@ def test_chroma_half_a_pixel_off_is_put_back() -> None:
     picture, matte = on_green()
     right, beside = (with_half_size_chroma(picture, stated=stated) for stated in (True, False))
     for untouched in (picture, right, np.full_like(picture, 90), linear(beside)):
-        assert chroma_in_place(untouched) is untouched
-    mended = chroma_in_place(beside)
+        assert centred_chroma(untouched) is untouched
+    mended = centred_chroma(beside)
     # Measured, in squared levels: 1.6 and 3.6, as both were resampled; IoU .966, .938, and .959 in place.
     assert np.square(mended - right.astype(float)).mean() < np.square(beside - right.astype(float)).mean() / 2
     assert iou(mended, matte) > iou(beside, matte) + 0.015

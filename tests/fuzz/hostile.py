@@ -58,7 +58,7 @@ from decogs.decoder.reading.following import follow_stream
 from decogs.decoder.reading.frame import DecodedFrame
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.sound.coding import coded
-from decogs.decoder.sound.samples import heard_in
+from decogs.decoder.sound.samples import mixed_sound
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.stream.container import (
@@ -418,7 +418,7 @@ class FileTarget:
             if _frames_read(stream.frames(), strict, found) != stream.frame_count:
                 raise Misbehaved("frames are left out")
             if stream.header.sound:
-                _hear(heard_in(stream, range(min(stream.frame_count, _FRAMES_HEARD))))
+                _hear(mixed_sound(stream, range(min(stream.frame_count, _FRAMES_HEARD))))
 
     def _follow(self, data: bytes, strict: bool) -> None:
         found: list[Damage] = []

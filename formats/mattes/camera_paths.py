@@ -14,7 +14,7 @@ from ..rigs.sources import list_folder, refuse_unknown_kinds
 from ..videos.reading import VIDEO_SUFFIXES
 
 
-def places_of_cameras(folder: Path, names: Collection[str], needed: Collection[str] = ()) -> dict[str, Path]:
+def paths_of_cameras(folder: Path, names: Collection[str], needed: Collection[str] = ()) -> dict[str, Path]:
     """The entry of each camera that has one: ``cam00/``, ``cam00.png``, ``cam00.mp4``, or ``00/`` and so on.
 
     Raises RigError if the folder is none, has two for one camera, or has for one that is ``needed`` a file of a kind

@@ -21,7 +21,7 @@ _HALF_PIXEL = np.array([[-1, 9, 9, -1]], np.float32) / 16
 """Cubic interpolation midway between samples."""
 
 
-def chroma_in_place(picture: Picture) -> Picture:
+def centred_chroma(picture: Picture) -> Picture:
     """The picture (H, W, 3), its chroma half a pixel further right where edges of luma say that it lies there.
 
     Pictures in linear light have been in no video and stay.
