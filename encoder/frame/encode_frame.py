@@ -139,9 +139,8 @@ def _without_lost(context: Context, frame: RigFrame, memory: Memory) -> RigFrame
 
 def train_and_code(context: Context, frame: PendingFrame, task: Task) -> Encoded:
     """Steps 4 to 10: the regions that changed, the Gaussians in them, their training, the packet."""
-    watch, packet, state, fade = task.watch, task.packet, frame.replayed, None
-    if task.following is not None:
-        fade = task.following.fade(frame.recorded.index, frame.scene)
+    watch, packet, state = task.watch, task.packet, frame.replayed
+    fade = None if task.following is None else task.following.fade(frame.recorded.index, frame.scene)
     masks = find_masks(context, frame, watch)
     selected = find_selected(context, frame, masks, watch)
     plan = plan_frame(context, frame, masks, selected, fade, watch)
