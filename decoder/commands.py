@@ -59,7 +59,7 @@ def decode_parser() -> Parser:
         description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
         epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr, .mp4, .mov, .y4m, .rgb, "
         "or .wav for the sound alone; x_####.exr, x_%04d.exr and x_$F4.exr number files by frame; - writes Y4M to "
-        "stdout. A pose file is described in decogs.decoder.cameras.pose_file.",
+        "stdout. docs/cameras.md describes pose files.",
     )
     parser.add_argument("stream", help="the .dgs file; - for stdin")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder or file to write, - for stdout")

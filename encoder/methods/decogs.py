@@ -1,8 +1,8 @@
 """The default method: the selected Gaussians follow the pictures, everything else stays.
 
 They start from the last displacement of their neighbourhood, and train for a number of steps that goes with what the
-frame misses. Its marks, in shares of the steps: emerging objects get Gaussians at a quarter, densification follows at
-half, and right after it changes that hardly show are reverted. On a stage, displacements are smoothed at both marks.
+frame misses. After a quarter of the steps emerging objects get Gaussians; after half of them densification follows, and
+right after it changes that hardly show are reverted. On a stage, displacements are smoothed at both times.
 Gradients and Adam's moments exist for the selected Gaussians only. Equations: docs/METHOD.md, "Focus-aware loss" to
 "Optimiser-state reset".
 """

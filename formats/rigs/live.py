@@ -1,10 +1,10 @@
 """Cameras that are still recording: pictures in folders, videos that grow, cameras that send.
 
-A TOML file names a rig of the same cameras, calibrated before, and where each camera's pictures come from. A frame is
-there when one camera has it. A camera without a whole picture of it is waited for ``late`` seconds, and then has
-dropped the frame: its picture before is given again, which the encoder knows for what it is. One that has dropped
-three in a row is not waited for before the last of them has come after all. After ``end`` seconds without a new frame
-the recording has ended.
+A TOML file names a rig of the same cameras, calibrated before, and where each camera's pictures come from. A frame
+begins when one camera has it. The reader waits ``late`` seconds for the others. A camera without a whole picture by
+then has dropped the frame: its last picture is given again, and the encoder leaves that view out. After three dropped
+frames in a row the reader no longer waits for that camera, until the last of them has arrived. After ``end`` seconds
+without a new frame the recording has ended.
 """
 
 from __future__ import annotations

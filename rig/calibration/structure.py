@@ -229,8 +229,8 @@ def _with_lenses_of(lenses: Given, mapped: Mapped, matched: Matched) -> Mapped:
 def _adjust(model: Any, *, focal: bool, bends: bool, centre: bool) -> None:
     """Bundle adjustment with this of the lenses free, which leaves out what is far off, twice.
 
-    The second time a residual counts by how it compares with the usual one: points that slide along edges are off by
-    less than what is left out, agree with one another, and bend few cameras' focal lengths.
+    The second time a residual counts by its ratio to the median one. Points that slide along edges have residuals too
+    small to be left out, and agree with one another: with equal weights they bend the focal lengths of few cameras.
     """
     pycolmap = require_pycolmap()
     options = pycolmap.BundleAdjustmentOptions()

@@ -3,7 +3,7 @@
 The screen is found in every picture anew, so that uneven light, shadows on it and a camera's own colours are followed:
 first whatever is near the key's angle and saturated, then what agrees with the screen around it. Screen-coloured cloth
 inside the subject is told from a gap through which the screen shows by its own pattern and brightness, as far as it has
-any. Figures: docs/masks.md.
+any. Figures: DESIGN.md.
 
 Sources: Jack, "Video Demystified" (key angle and its strength); Smith and Blinn 1996.
 """

@@ -2,7 +2,7 @@
 
 A plain surface confirms no depth: grey before grey costs no view anything, and training fills the space in front with
 fog. So where most of the pictures is plain, the backdrop is there, opaque, before training begins, and first points lie
-in the hull of what stands in front of it. Whatever leaves the hull goes. Figures: docs/stages.md.
+in the hull of what stands in front of it. Whatever leaves the hull goes. For users: docs/stages.md.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ _ROUNDS = 30
 _APART = 0.25
 """Frames by which a pair may differ from the others' verdict before it counts less."""
 _UNNOTICED = 0.08
-"""Share of the evidence that faults of a calibration cost or gain. At 60 frames a second, a camera that is in step has
-7 % less than a frame beside, and one that is a frame late has 10 to 14 % less than at its own."""
+"""A calibration with errors changes the evidence for a start by up to this share. At 60 frames a second, a camera in
+step has 7 % less evidence at its start than a frame beside it, one that is a frame late 10 to 14 % less in step."""
 _VOTE_FRAMES = 1.5
 """Frames around the verdict within which a pair's own best lag is a vote for it."""
 
