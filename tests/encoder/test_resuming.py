@@ -373,14 +373,15 @@ def test_other_footage_is_missed_by_more_than_the_first_frame_was(first: float, 
     picture = np.random.default_rng(1).uniform(0.2, 0.8, (3, 48, 64)).astype(np.float32)
     view = SimpleNamespace(camera=SimpleNamespace(name="cam01"), valid=None)
     context: Any = SimpleNamespace(
-        ingest=SimpleNamespace(views=[view]), threads=1, renderer=lambda off: lambda _: picture + np.float32(off)
+        ingest=SimpleNamespace(views=[view]), threads=1, renderer=lambda _, off: lambda _: picture + np.float32(off)
     )
     warnings: list[str] = []
     reporter = FrameReporter(context, warnings.append)
     for index, off in enumerate((first, later)):
         encoded: Any = SimpleNamespace(
             scene=SimpleNamespace(splats=off),
-            outcome=SimpleNamespace(selection=SimpleNamespace(masks=[])),
+            memory=SimpleNamespace(views=None),
+            masks=[],
             pictures=RigFrame(index, [picture], []),
         )
         reporter.check_footage(encoded, "`resume`: scene.dgs", Stopwatch())
