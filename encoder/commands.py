@@ -225,8 +225,8 @@ def _add_research(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--method",
         metavar="M",
-        help="decogs, paper (two stages with a cache), 3dgstream (the dense baseline, slower), or one of a package "
-        "(default: the preset's)",
+        help="decogs, paper (two stages with a cache), the bench's 3dgstream (the dense baseline, slower), or one of a "
+        "package (default: the preset's)",
     )
     group.add_argument(
         "--ablate",

@@ -38,7 +38,7 @@ _REGISTERED_SETTINGS: dict[str, Registry[Any]] = {
 class Switches(Checked):
     """What later frames are trained with, on top of settings; None and nothing are what those say.
 
-    ``method``: a name in FRAME_METHODS: "decogs", "paper", "3dgstream", or one of an installed package. ``ablate``:
+    ``method``: a name in FRAME_METHODS: "decogs", "paper", or one of the bench or of an installed package. ``ablate``:
     parts of it to leave out, of ABLATIONS. ``selection``: a name in SELECTION_RULES.
     """
 

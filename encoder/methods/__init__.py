@@ -19,7 +19,6 @@ from ..training.method import FrameInput, FrameMethod, TrainedFrame
 from ..training.schedule import Pace
 from .decogs import DecogsTrainer
 from .paper import PaperTrainer
-from .threedgstream import BaselineTrainer
 
 
 def _wrong_frame(trained: object, frame: FrameInput) -> str:
@@ -61,11 +60,7 @@ def _guarded_method(method: Any, fault: Fault) -> FrameMethod:
 FRAME_METHODS: Registry[FrameMethod] = Registry(
     "method",
     "decogs.frame_methods",
-    {
-        "decogs": FrameMethod(DecogsTrainer),
-        "paper": FrameMethod(PaperTrainer),
-        "3dgstream": FrameMethod(BaselineTrainer, dense=True),
-    },
+    {"decogs": FrameMethod(DecogsTrainer), "paper": FrameMethod(PaperTrainer)},
     _guarded_method,
 )
 

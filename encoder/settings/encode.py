@@ -37,7 +37,7 @@ class EncodeSettings(Checked):
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
     frame: FrameSettings = field(default_factory=FrameSettings)
     lattice_scale: Annotated[float, Within(1e-3, 1e3)] = 1.0  # of the default steps; more: smaller, less exact
-    method: str = "decogs"  # of later frames, a name in FRAME_METHODS; "3dgstream" is slower
+    method: str = "decogs"  # of later frames, a name in FRAME_METHODS; the bench's are slower
     segment: Annotated[int, Within(0, MAX_FRAME)] = 0  # frames between keyframes; fewer: larger, seek faster; 0: one
     closed: bool = False  # segments depend on no other: slower
     cross_fade: Annotated[int, Within(0, 1000)] = 3  # frames that are faded into such a start; more: slower; 0: a jump
@@ -76,8 +76,8 @@ class EncodeSettings(Checked):
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log.
 
-        Omitted are what the dense baseline does not read, and unset budgets, targets, corrections and choices of
-        effects, so that streams started without such settings can still be resumed.
+        Omitted are what the bench's dense baseline does not read, and unset budgets, targets, corrections and choices
+        of effects, so that streams started without such settings can still be resumed.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(self) == usual]

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from decogs.bench.metrics import psnr, square_error_map, total_variation
-from decogs.bench.regions import find_regions, held_out_pictures
+from decogs.bench.measures.metrics import psnr, square_error_map, total_variation
+from decogs.bench.measures.regions import find_regions, held_out_pictures
 from decogs.codec.header.header import StreamHeader
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.reading.stream import open_stream

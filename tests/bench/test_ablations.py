@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.bench.ablations import DECOGS, PAPER
+from decogs.bench.methods.ablations import DECOGS, PAPER
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.selection import SELECTION_RULES

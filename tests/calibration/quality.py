@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 from table import found_from, rig_parser, worlds_laid_over
 
-from decogs.bench.metrics import BytePicture, psnr, square_error_map
-from decogs.bench.regions import held_out_pictures
+from decogs.bench.measures.metrics import BytePicture, psnr, square_error_map
+from decogs.bench.measures.regions import held_out_pictures
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view

@@ -115,6 +115,12 @@ def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         registry.get("other")
 
 
+def test_a_method_of_the_bench_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "decogs.bench.methods.threedgstream", None)
+    with pytest.raises(UsageError, match=r"^3dgstream: this method comes with the bench, .*\[bench\]'$"):
+        FRAME_METHODS.get("3dgstream")
+
+
 def test_ours_cannot_be_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     point = _Point()
     point.name = "weight"

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.bench.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.methods.decogs import DecogsTrainer, _probes
 from decogs.encoder.methods.paper import PaperTrainer
-from decogs.encoder.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings, SignificanceSettings
 from decogs.encoder.training import selective_densification

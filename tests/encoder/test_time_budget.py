@@ -14,6 +14,7 @@ import pytest
 
 import decogs.encoder.methods.decogs as frame_training
 import decogs.encoder.training.schedule as schedule
+from decogs.bench.methods.threedgstream import BaselineConfig
 from decogs.codec.scene.digest import digest
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
@@ -31,7 +32,6 @@ from decogs.encoder.commands import encode_main
 from decogs.encoder.job.option_texts import seconds_per_frame
 from decogs.encoder.job.switches import with_method
 from decogs.encoder.methods.decogs import DecogsTrainer
-from decogs.encoder.methods.threedgstream import BaselineConfig
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.schedule import MIN_STEPS
