@@ -48,11 +48,6 @@ class AblatedTrainer:
         self._has_gate = "gate" not in ablated
         self._momentum: Optimiser | None = None
 
-    @property
-    def min_seconds(self) -> float:
-        """The method's."""
-        return self._inner.min_seconds
-
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains one frame."""
         if self._has_gate:

@@ -64,10 +64,8 @@ class BaselineTrainer:
     """Trains later frames of one stream as 3DGStream does.
 
     Rows of a scene beyond the keyframe's were spawned for the frame before. ``context.box`` also bounds where Gaussians
-    may spawn. ``min_seconds`` is unknown: the schedule is fixed.
+    may spawn. The schedule is fixed.
     """
-
-    min_seconds = 0.0
 
     def __init__(self, context: TrainingContext, config: BaselineConfig = _RELEASED) -> None:
         self._kernel, self._views, self._config = context.kernel, context.views, config

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from decogs.codec.scene.state import State
 from decogs.rig.pictures.ingest import RigFrame
-from decogs.rig.stage.stage import Stage, find_stage
+from decogs.rig.stage.stage import Stage
 
+from ..backends.scene_views import SceneViews
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl
 from ..coding.scene import Scene
@@ -30,11 +31,20 @@ class BeforeFlash:
 
 
 @dataclass(frozen=True)
+class SceneStart:
+    """A scene's first ``frame``, compensated, and the ``stage`` in it, if it shows one."""
+
+    frame: RigFrame
+    stage: Stage | None
+
+
+@dataclass(frozen=True)
 class Memory:
     """What a frame hands to the next.
 
-    ``first``: the stream's first frame, compensated, to which closed segments return; None in other streams. ``rate``
-    and ``time`` keep to budgets, where there are some. ``stage``: the scene's, if it is one.
+    ``views``: the training views, which keep what was drawn last. ``first``: the stream's first frame, to which closed
+    segments return; None in other streams. ``rate`` and ``time`` keep to budgets, where there are some. ``stage``: the
+    scene's, if it is one.
     """
 
     trainer: FrameTrainer
@@ -43,28 +53,30 @@ class Memory:
     corrections: CorrectionMemory | None
     rate: RateControl | None
     time: TimeControl | None
+    views: SceneViews
     stage: Stage | None = None
     before_flash: BeforeFlash | None = None
-    first: RigFrame | None = None
+    first: SceneStart | None = None
 
 
 def new_memory(
     context: Context,
     scene: Scene,
-    frame: RigFrame,
+    start: SceneStart,
     corrections: CorrectionMemory | None,
     *,
+    views: SceneViews,
     time: TimeControl | None,
-    first: RigFrame | None,
+    first: SceneStart | None,
 ) -> Memory:
-    """The memory after a ``scene``'s first ``frame``, compensated: nothing is left of the frames before."""
+    """The memory after the ``start`` of a ``scene``: nothing is left of the frames before."""
     settings = context.settings
-    rendered = None if context.method.dense else context.views.pictures(scene.splats)
+    rendered = None if context.method.dense else views.pictures(scene.splats)
     trainer = context.method.trainer(
         training_context(
             context.kernel,
             context.ingest.views,
-            context.views,
+            views,
             settings,
             scene.splats,
             seed=context.seed,
@@ -74,12 +86,13 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(frame.training, rendered, subject=bool(frame.alpha)),
+        MaskMemory.begin(start.frame.training, rendered, subject=bool(start.frame.alpha)),
         Motion.at_rest(len(scene.state)),
         corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,
-        None if context.method.dense else find_stage(context.ingest.views, frame),
+        views,
+        start.stage,
         first=first,
     )
 
@@ -97,5 +110,7 @@ def restart_at_segment(
     with watch.stage("commit"):
         scene = scene.restart(frame, segment)
         corrections = None if memory.corrections is None else memory.corrections.restart()
-        memory = new_memory(context, scene, memory.first, corrections, time=memory.time, first=memory.first)
+        memory = new_memory(
+            context, scene, memory.first, corrections, views=memory.views, time=memory.time, first=memory.first
+        )
     return scene, memory, True

@@ -21,8 +21,8 @@ from ..backends.scene_views import SceneViews
 from ..coding.scene import Scene
 from ..settings.encode import EncodeSettings
 from .context import Context
-from .cross_fade import CrossFade
-from .encode_frame import Encoded, Task, encode_change, observe
+from .cross_fade import CrossFade, fade_cameras
+from .encode_frame import Encoded, Task, compensate_and_classify, train_and_code
 from .events import Kind
 from .memory import Memory
 
@@ -83,10 +83,11 @@ def train_next_segment(context: Context, scene: Scene, memory: Memory, frames: S
     for place, frame in enumerate(reversed(frames)):
         # Frames are counted on from the start, not back, as an encode expects.
         task = Task(replace(frame, index=start + place))
-        pending, event = observe(unlogged, scene, memory, task)
-        if event.kind is Kind.CUT:
+        pending = compensate_and_classify(unlogged, scene, memory, task)
+        if pending.kind is Kind.CUT:
             break
-        encoded = encode_change(unlogged, event, pending, task)
+        encoded = train_and_code(unlogged, pending, task)
         scene, memory, first = encoded.scene, encoded.memory, first or encoded
         scenes[frame.index] = scene
-    return NextSegment(start, first, scenes, context.fade_views, context.settings.fading)
+    views = SceneViews(context.kernel, lambda: fade_cameras([view.pinhole for view in context.ingest.views]))
+    return NextSegment(start, first, scenes, views, context.settings.fading)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.lattice import Lattice, Vector, default_lattice, quantise, robust_extent
 from decogs.codec.scene.morton import morton_order
 from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS
@@ -35,7 +36,6 @@ from ..coding.packets import frame_packet, key_packet
 from ..coding.scene import Scene
 from ..input.row_matching import Rows, mutual_nearest
 from ..output.stream_output import StreamOutput, open_output
-from ..settings.encode import EncodeSettings
 from ..settings.frame import SignificanceSettings
 from ..training.method import TrainedFrame
 
@@ -44,7 +44,6 @@ _HYSTERESIS_STEPS = 0.75
 """Lattice steps from a value's integer within which the integer stays: noise between frames is not coded."""
 _MAX_JUMP_FRACTION = 0.05
 """Median way of a row between two frames, as a share of the scene, beyond which rows are in no common order."""
-_ZSTD_LEVEL = 15
 _FLOAT_COPIES = 12
 """Of its floats that a Gaussian takes: 11 were measured of two frames that are matched by position (SH degree 3)."""
 _CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL_PIXELS = 1280, 720, 1100.0
@@ -97,9 +96,7 @@ def pack(
                 file = _read(path, room, warn, first=index == 0)
                 if packing is None:
                     header = _header(path, file, scale, fps=fps, first=named[0][0])
-                    packing = _Packing(
-                        header, stream, EncodeSettings(segment=segment, zstd_level=_ZSTD_LEVEL), exact=lossless
-                    )
+                    packing = _Packing(header, stream, segment, exact=lossless)
                 sizes.append(packing.add(path, file.splats))
                 if on_frame is not None:
                     on_frame(index + 1, len(named))
@@ -115,8 +112,8 @@ def pack(
 class _Packing:
     """The stream so far; ``_place`` is the row in the last file of each Gaussian of the state."""
 
-    def __init__(self, header: StreamHeader, output: StreamOutput, settings: EncodeSettings, *, exact: bool) -> None:
-        self._header, self._output, self._settings, self._exact = header, output, settings, exact
+    def __init__(self, header: StreamHeader, output: StreamOutput, segment: int, *, exact: bool) -> None:
+        self._header, self._output, self._segment, self._exact = header, output, segment, exact
         self._scene: Scene | None = None
         self._place: Rows = np.zeros(0, np.int64)
         self._frames = 0
@@ -128,7 +125,10 @@ class _Packing:
             packet = self._first(splats) if self._scene is None else self._next(self._scene, path, splats)
         except TrainingError as error:
             raise UsageError(f"{path}: {error}") from None
-        self._scene = Scene.open(self._header, packet) if self._scene is None else self._scene.after(packet)
+        if self._scene is None:
+            self._scene = Scene.open(self._header, reconstruct(None, packet, self._header))
+        else:
+            self._scene = self._scene.after(self._scene.read(packet))
         self._output.write(packet.kind, packet.frame, packet.payload)
         self._frames += 1
         return packet.size
@@ -136,7 +136,7 @@ class _Packing:
     def _first(self, splats: Splats) -> Packet:
         state, self._place = keyframe_state(quantise(splats, self._header.lattice))
         self._output.begin(self._header.to_bytes())
-        return key_packet(self._header, state, {}, self._settings.zstd_level).packet
+        return key_packet(self._header, state, {}).packet
 
     def _next(self, scene: Scene, path: Path, splats: Splats) -> Packet:
         header = self._header
@@ -154,7 +154,7 @@ class _Packing:
         # The stream has new Gaussians in Morton order, behind the others.
         added = added[morton_order(quantise(trained.added, header.lattice).means)]
         self._place = np.concatenate([rows, added])
-        return frame_packet(scene, self._frames, trained, SignificanceSettings(), {}, self._settings).packet
+        return frame_packet(scene, self._frames, trained, SignificanceSettings(), {}, segment=self._segment).packet
 
     def _match(self, before: FloatArray, splats: Splats) -> tuple[Rows, Rows]:
         """Rows of the state, whose positions were ``before``, that go on, ascending, and their rows in the file."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.corrections import CorrectedCameras, Corrections
@@ -19,7 +20,7 @@ from decogs.rig.pictures.recording_digests import difference, recorded_in
 
 from ..coding.stream_header import stream_header
 from ..frame.context import Context
-from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame, train_keyframe
+from ..frame.encode_frame import Encoded, Task, begin_scene, earlier_first_frame, encode_frame, train_keyframe
 from ..frame.next_segment import NextSegment, train_next_segment, with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
@@ -91,12 +92,10 @@ class StreamEncoder:
         first = self._first_frame(task)
         degree = sh_degree_of(first.state.coefficients)
         header = self._new_header(frame.index, first.lattice, degree, colours=first.colours, recorded=frame.recorded)
-        encoded = begin_scene(self._context, header, first.state, task)
-        with task.watch.stage("write"):
-            self._output.begin(header.to_bytes())
+        encoded = begin_scene(self._context, header, first, replace(task, write=partial(self._write_first, header)))
         if isinstance(self._keyframe, KeyframeSource):
             self._check_keyframe(self._keyframe, encoded, frame, task.watch)
-        return self._write(encoded, task.watch)
+        return self._report(encoded, task.watch)
 
     def _encode_next(self, frame: RigFrame, last: Encoded, following: Sequence[RigFrame]) -> FrameReport:
         """Encodes a frame after the ``last``; ``following``: those up to the start of the segment it is faded into."""
@@ -104,11 +103,11 @@ class StreamEncoder:
         segment = self._next_segment([frame, *following], last, watch)
         coded = segment.first if segment is not None and segment.start == frame.index else None
         packet = None if coded is None else coded.written.packet
-        task = Task(frame, packet, segment, self._options.on_keyframe_step, watch)
+        task = Task(frame, packet, segment, self._options.on_keyframe_step, watch, self._write)
         encoded = encode_frame(self._context, last.scene, last.memory, task)
         if coded is not None:
-            encoded = replace(encoded, outcome=replace(encoded.outcome, rejected=coded.outcome.rejected))
-        return self._write(encoded, watch)
+            encoded = replace(encoded, rejected=coded.rejected)
+        return self._report(encoded, watch)
 
     def take_over(self, left: Interrupted, span: range) -> None:
         """Goes on from what an earlier encode left of frames ``span``: its header, near planes and cameras' colours.
@@ -146,7 +145,8 @@ class StreamEncoder:
         task = Task(frame, packet)
         if self._last is None:
             key = reconstruct(None, packet, self._header)
-            self._last = begin_scene(self._context, self._header, key, task)
+            first = earlier_first_frame(self._context, key, self._header, frame)
+            self._last = begin_scene(self._context, self._header, first, task)
         else:
             self._last = encode_frame(self._context, self._last.scene, self._last.memory, task)
         if origin:
@@ -163,18 +163,20 @@ class StreamEncoder:
                 self._next = train_next_segment(self._context, last.scene, last.memory, frames)
         return self._next if self._next is not None and self._next.start == start else None
 
-    def _write(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
-        """Appends the frame's packet, and records its time."""
-        packet = encoded.written.packet
-        with watch.stage("write"):
-            self._output.write(packet.kind, packet.frame, packet.payload)
-        memory = encoded.memory
-        if memory.time is not None and self._last is not None:
-            memory = replace(memory, time=memory.time.record_time(watch.seconds, deferred=encoded.outcome.deferred))
-        self._last = replace(encoded, memory=memory)
-        if encoded.outcome.cut and self._context.settings.closed and not self._has_cut:
+    def _write_first(self, header: StreamHeader, packet: Packet) -> None:
+        """Begins the output with its header, and appends the first packet."""
+        self._output.begin(header.to_bytes())
+        self._write(packet)
+
+    def _write(self, packet: Packet) -> None:
+        self._output.write(packet.kind, packet.frame, packet.payload)
+
+    def _report(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
+        """Goes on from the frame, and reports it."""
+        self._last = encoded
+        if encoded.cut and self._context.settings.closed and not self._has_cut:
             self._warn(CUT_IN_CLOSED)
-        self._has_cut |= encoded.outcome.cut
+        self._has_cut |= encoded.cut
         return self._reporter.report(encoded, watch)
 
     def _first_frame(self, task: Task) -> FirstFrame:
@@ -190,7 +192,8 @@ class StreamEncoder:
             return train_keyframe(context, task.recorded, task)
         source.check(context.ingest, task.recorded.index)
         context.ingest.set_near_planes(source.header.near_planes)
-        return FirstFrame(source.state, source.header.lattice, source.header.camera_colours)
+        with task.watch.stage("import"):
+            return earlier_first_frame(context, source.state, source.header, task.recorded)
 
     def _check_keyframe(self, source: KeyframeSource, encoded: Encoded, frame: RigFrame, watch: Stopwatch) -> None:
         """Warns where an earlier stream's keyframe is of other footage."""

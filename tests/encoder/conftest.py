@@ -49,9 +49,7 @@ TINY = EncodeSettings(
         masks=MaskSettings(threshold=10.0),
         joint_iterations=10,
         warm_start=0.9,
-        grow_gradient=1e-5,
     ),
-    zstd_level=3,
 )
 
 

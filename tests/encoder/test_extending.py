@@ -180,8 +180,6 @@ def test_what_a_rule_does_wrong_is_said_with_its_package(
 
 
 class _Trainer:
-    min_seconds = 0.0
-
     def __init__(self, result: Any) -> None:
         self._result = result
 
@@ -206,10 +204,11 @@ ROWS = "that are not ascending from 0 to "
         (None, "is no FrameMethod but None"),
         (FrameMethod(None), "is no function but None"),  # type: ignore[arg-type]
         (FrameMethod(raises), "raised ValueError: no such thing"),
-        (FrameMethod(returns(None)), "returned None, which has no number `min_seconds` or no function `train`"),
+        (FrameMethod(returns(None)), "returned None, which has no function `train`"),
         (None, "returned None, no TrainedFrame"),
         (lambda frame: np.zeros(3), "returned float64 (3,), no TrainedFrame"),
         (raises, "raised ValueError: no such thing"),
+        (lambda frame: trained(frame, pace=0.5), "returned `pace` as float"),
         (lambda frame: trained(frame, kept=None), "returned `kept` as None, not as row numbers"),
         (lambda frame: trained(frame, kept=np.zeros(2)), "returned `kept` as float64 (2,), not as row numbers"),
         (lambda frame: trained(frame, removed=np.array([-1])), "returned `removed` with rows " + ROWS),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from decogs.codec.scene.lattice import dequantise, quantise
+from decogs.codec.scene.state import Attributes
 from decogs.encoder.backends import Drawable
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.optimiser import drawn_splats
@@ -362,10 +363,13 @@ def test_all_but_opacities_end_on_the_lattice_one_after_the_other(case: Case) ->
         assert made_up_for_others.any()
 
 
-def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(case: Case) -> None:
-    points, shiny = {}, replace(SHORT, rates=replace(SHORT.rates, sh_rest=0.02))
+def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points: dict[float, Attributes] = {}
+    monkeypatch.setattr(keyframe, "_RATES", replace(keyframe._RATES, sh_rest=0.02))
     for rd_lambda in (0.0, 10.0, 1e9):
-        result = trained(case, replace(shiny, rd_lambda=rd_lambda))
+        result = trained(case, replace(SHORT, rd_lambda=rd_lambda))
         points[rd_lambda] = quantise(result.splats, result.lattice)
         for name in ("quaternions", "sh"):
             on_lattice = dequantise(points[rd_lambda], result.lattice)

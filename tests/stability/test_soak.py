@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import decogs.encoder.coding.scene as scene
+import decogs.encoder.frame.encode_frame as encode_frame
 import decogs.encoder.frame.plan as plan
 from decogs.codec.scene.digest import digest
 from decogs.codec.scene.state import ARRAYS, State
@@ -98,7 +99,8 @@ def long_encode(long_rig: Path, settings: Any, tmp_path_factory: pytest.TempPath
         seen.training_psnr.append(report.training_psnr)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(scene, "reconstruct", observed_reconstruct)
+        for module in (scene, encode_frame):  # later packets, the first one
+            patched.setattr(module, "reconstruct", observed_reconstruct)
         patched.setattr(plan, "select", observed_select)
         ingest = Ingest(open_rig(long_rig), holdout=["cam02"])
         context = Context.of(ingest, quick(settings), seed=0, threads=1)
