@@ -92,7 +92,9 @@ def _masks_after(
     if trained is not None and masks and not same_values(event.scene.state, scene.state):
         rendered = context.views.pictures(scene.splats) if trained.truncated or plan.relit else None
         moved = "motion" in plan.effects
-        memory = memory.trained(frame.pictures, masks, moved=moved, rendered=rendered, threads=context.threads)
+        memory = memory.trained(
+            frame.pictures, masks, moved=moved, rendered=rendered, relit=plan.relit, threads=context.threads
+        )
     return memory.advance(frame.pictures, masks, settings, deferred=plan.deferred)
 
 

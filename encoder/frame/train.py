@@ -60,6 +60,7 @@ def _train(context: Context, event: Event, plan: FramePlan, frame: PendingFrame,
         _free_space(context, event, plan, frame),
         frame.recorded.lost_views(context.ingest.views).keys(),
         plan.relit,
+        plan.relit or memory.masks.relit,
     )
     with watch.stage("training"):
         if not context.method.dense:
