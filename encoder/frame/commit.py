@@ -61,7 +61,9 @@ def _masks_after(
     if trained is not None and plan.masks and not same_values(frame.scene.state, scene.state):
         rendered = frame.memory.views.pictures(scene.splats) if trained.truncated or plan.relit else None
         moved = "motion" in plan.effects
-        memory = memory.trained(frame.pictures, plan.masks, moved=moved, rendered=rendered, threads=context.threads)
+        memory = memory.trained(
+            frame.pictures, plan.masks, moved=moved, rendered=rendered, relit=plan.relit, threads=context.threads
+        )
     return memory.advance(frame.pictures, plan.masks, settings, deferred=plan.deferred)
 
 

@@ -61,6 +61,7 @@ def _train(context: Context, frame: PendingFrame, plan: FramePlan, watch: Stopwa
         _free_space(context, frame, plan),
         frame.recorded.lost_views(context.ingest.views).keys(),
         plan.relit,
+        plan.relit or memory.masks.relit,
         UNKNOWN_PACE if memory.time is None else memory.time.pace,
     )
     with watch.stage("training"):

@@ -73,7 +73,8 @@ class FrameTraining:
         """Gradients of the values ``drawn`` (M), from the pixels that they cover."""
         view = self.context.static_views[step.view]
         view.draw(drawn, work.rows)
-        value = self.losses[step.view].evaluate_drawn(view)
+        loss = self.losses[step.view]
+        value = (loss.with_clipped(view.rgb) if self.frame.clipped else loss).evaluate_drawn(view)
         self.seen.add(value, self.context.views[step.view].camera)
         if self.frame.stopping.on_loss is not None:
             self.frame.stopping.on_loss(step.stage, step.number, value.total)

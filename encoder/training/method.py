@@ -63,8 +63,9 @@ class FrameInput:
     colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
     displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``free``: the frame's
     empty space, where it is known. ``lost``: views, by number, that have no picture of this frame; what is in its place
-    must not teach. Masks say so as well. ``relit``: light has changed more than steps follow. ``pace``: of the frames
-    before, under a deadline.
+    must not teach. Masks say so as well. ``relit``: light has changed more than steps follow. ``clipped``: it has in
+    this or an earlier frame, so that what is recorded as white may be brighter. ``pace``: of the frames before, under
+    a deadline.
     """
 
     index: int
@@ -79,6 +80,7 @@ class FrameInput:
     free: FreeSpace | None = None
     lost: Collection[int] = ()
     relit: bool = False
+    clipped: bool = False
     pace: Pace = UNKNOWN_PACE
 
 

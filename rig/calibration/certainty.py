@@ -3,7 +3,7 @@
 Cameras that all look at one place leave their focal lengths nearly open (Sturm's critical motions), the more so the
 fewer they are and the more a lens may bend; the reprojection error does not show it. Triggs et al., "Bundle Adjustment:
 A Modern Synthesis", section 9: the covariance of cameras is the inverse of their normal equations, reduced by the
-points, times the residuals' variance.
+points, times the residuals' variance. How far the axes are off the middle is what makes the residuals likeliest.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from decogs.formats.rigs.colmap import lens_parameters
 
 from .features import F64, I64
 
-_CENTRE = 0.003
-"""Standard deviation of where a lens's axis meets the picture, from its middle, in widths. Those of a dome and of a
-kitchen are off by .003 and .0045. Where all are off alike, even by .02, focal lengths are off by at most what this
-says; where each is off to another side, by .005 as well, by .01 not (docs/calibrate.md)."""
+_CENTRE, _MAX_CENTRE = 0.003, 0.05
+"""Standard deviation of where a lens's axis meets the picture, from its middle, in widths, at least and at most. Those
+of a dome and of a kitchen are off by .003 and .0045, which residuals of few cameras do not show."""
 _LEAST_PIVOT = 1e-6
 """Of the normal equations' Cholesky factor, whose diagonal would be 1 if no unknown hung together with others: below,
 they have no inverse in float64."""
@@ -67,8 +66,9 @@ def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
     try:
         normal = _reduced(sights, columns, count, len(places)) / variance
         if freedom == "lens":
-            for x, y, width in {(*columns[image][-2:].tolist(), lenses[image].width) for image in images}:
-                normal[[x, y], [x, y]] += (_CENTRE * width) ** -2.0
+            widths = {centre: lenses[image].width for image in images for centre in columns[image][-2:].tolist()}
+            centres, across = np.array(list(widths)), np.array(list(widths.values()), np.float64)
+            normal[centres, centres] += (_off_middle(normal, kept, centres, across) * across) ** -2.0
         scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
         root = np.linalg.cholesky(normal[np.ix_(kept, kept)] * scale * scale[:, None])
     except np.linalg.LinAlgError:
@@ -134,14 +134,37 @@ def _gauge(model: Any, images: list[int], columns: Mapping[int, I64]) -> I64:
 
 
 def _reduced(sights: Mapping[int, _Sights], columns: Mapping[int, I64], count: int, points: int) -> F64:
-    """Normal equations (count, count) of poses and lenses with the points solved for (Schur complement)."""
+    """Normal equations of poses and lenses with the points solved for (Schur complement), (count + 1, count + 1).
+
+    The last row and column are the residuals'.
+    """
+    count += 1
     normal, by_point, across = np.zeros((count, count)), np.zeros((points, 3, 3)), np.zeros((points, count, 3))
     for image, one in sights.items():
-        derivatives = np.concatenate([one.by_pose, one.by_lens], axis=2)
-        flat = derivatives.reshape(-1, derivatives.shape[2])
-        normal[np.ix_(columns[image], columns[image])] += flat.T @ flat
+        derivatives = np.concatenate([one.by_pose, one.by_lens, one.residuals[:, :, None]], axis=2)
+        flat, own = derivatives.reshape(-1, derivatives.shape[2]), np.append(columns[image], count - 1)
+        normal[np.ix_(own, own)] += flat.T @ flat
         np.add.at(by_point, one.points, np.einsum("nij,nik->njk", one.by_point, one.by_point))
-        places = one.points[:, None], columns[image]
-        np.add.at(across, places, np.einsum("nij,nik->njk", derivatives, one.by_point))
+        np.add.at(across, (one.points[:, None], own), np.einsum("nij,nik->njk", derivatives, one.by_point))
     solved = np.matmul(across, np.linalg.inv(by_point))
     return np.asarray(normal - np.tensordot(solved, across, axes=((0, 2), (0, 2))))
+
+
+def _off_middle(normal: F64, kept: I64, centres: I64, widths: F64) -> float:
+    """How far lenses' ``centres`` are off the middle of pictures of these ``widths``: in widths, a standard deviation.
+
+    With the other unknowns solved for, the residuals' gradient by the centres has the variance of their information
+    and, where they are off, its square times the deviation's. The likeliest one is taken (empirical Bayes).
+    """
+    others, told = np.setdiff1d(kept, centres), np.append(centres, len(normal) - 1)
+    scale = 1 / np.sqrt(np.maximum(normal.diagonal()[others], 1e-30))
+    by_told = normal[np.ix_(others, told)] * scale[:, None]
+    left = normal[np.ix_(told, told)] - by_told.T @ np.linalg.solve(
+        normal[np.ix_(others, others)] * scale * scale[:, None], by_told
+    )
+    information, directions = np.linalg.eigh(left[:-1, :-1] * widths * widths[:, None])
+    information = np.maximum(information, _LEAST_PIVOT * information[-1])  # a turn makes up for what all share
+    gradient = directions.T @ (left[:-1, -1] * widths)
+    deviations = np.geomspace(_CENTRE, _MAX_CENTRE, 60)
+    variances = information + (deviations[:, None] * information) ** 2
+    return float(deviations[(np.log(variances) + gradient**2 / variances).sum(axis=1).argmin()])

@@ -262,6 +262,7 @@ def test_what_training_may_have_missed_is_compared_with_what_came_of_it(how: Any
     assert committed(**how)[1].given == {
         "moved": True,
         "rendered": rendered,
+        "relit": "relit" in how,
         "threads": 1,
         "deferred": False,
     }

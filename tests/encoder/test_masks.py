@@ -304,6 +304,15 @@ def test_light_alone_is_remembered_for_one_frame() -> None:
     assert told == [True, False, True]
 
 
+def test_a_light_that_steps_did_not_follow_is_remembered() -> None:
+    memory, mask = MaskMemory.begin([FLAT]), FrameMask(NOWHERE, NOWHERE)
+    told = []
+    for relit in (False, True, False):
+        memory = memory.trained([FLAT], [mask], moved=True, relit=relit)
+        told.append(memory.relit)
+    assert told == [False, True, True]
+
+
 @pytest.mark.parametrize("truncated", [True, False])
 def test_what_training_has_not_reached_keeps_its_reference(truncated: bool) -> None:
     """Where more is missed than the first frame's error, if there was no time to go on."""
