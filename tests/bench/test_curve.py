@@ -109,7 +109,7 @@ def test_the_whole_report(three_frames: Path, tmp_path: Path, monkeypatch: pytes
     assert set(document["fronts"]) == {f"{cost.key} {quality.key}" for cost in COSTS for quality in QUALITIES}
     assert set(document["courses"]) == {SHARED.description, OWN.description}
     precision = document["precision"]
-    # Half of 64x48. The kernel keeps within 1e-4 of its twin (tests/decoder/test_rasterise.py): 80 dB.
+    # Half of 64x48. The kernel keeps within 1e-4 of its twin (tests/decoder/rasterise/test_rasterise.py): 80 dB.
     assert (precision["width"], precision["height"], precision["frame"]) == (32, 24, 2)
     assert precision["between"] > 80
     # Two pictures 80 dB apart differ by 1e-4 at most, which is 20 log10(1 + 1e-4 / 0.03) dB of 30 dB.

@@ -39,7 +39,7 @@ from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig, read_frames
 from decogs.formats.stream.container import PacketKind, StreamWriter
 
-RIG = Path(__file__).parents[1] / "demo" / "workbench"
+RIG = Path(__file__).parents[2] / "demo" / "workbench"
 COMMAND = Path(sys.executable).parent / "decogs-view"
 
 
@@ -152,7 +152,7 @@ def test_the_page_and_its_types(served: StreamServer, small_stream: Any) -> None
     assert f'data-src="./{small_stream.path.name}"'.encode() in index.body
     assert b" follow" not in index.body.partition(b"<decogs-player")[2].partition(b">")[0]
     policy = index.headers["Content-Security-Policy"]
-    assert f"\n{policy}\n" in (Path(__file__).parents[2] / "docs" / "see-it.md").read_text("utf-8")
+    assert f"\n{policy}\n" in (Path(__file__).parents[3] / "docs" / "see-it.md").read_text("utf-8")
     assert "unsafe-inline" not in policy
     assert ask(served.url, "index.html").body == index.body
     for path in page_files.PAGE.iterdir():

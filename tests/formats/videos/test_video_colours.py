@@ -92,7 +92,7 @@ def digest() -> str:
 
 @pytest.mark.parametrize("instruction_set", INSTRUCTION_SETS)
 def test_any_instruction_set_gives_the_same_bits(instruction_set: str) -> None:
-    folders = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+    folders = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
     program = f"import sys; sys.path[:0] = {folders}; import test_video_colours; print(test_video_colours.digest())"
     assert printed_on(instruction_set, "-c", program) == digest()
 

@@ -455,7 +455,7 @@ def write_chunks(path: Path, chunks: list[bytes]) -> None:
 
 def test_reordered_frames_of_the_sample_rig() -> None:
     """H.264 with B-frames: packets are not in order of presentation (the box ctts says so), frames are."""
-    path = Path(__file__).parents[1] / "demo" / "workbench" / "cam01.mp4"
+    path = Path(__file__).parents[2] / "demo" / "workbench" / "cam01.mp4"
     assert b"ctts" in path.read_bytes()
     source = open_video(path)
     assert (source.frame_count, source.fps, source.width, source.height) == (9, 30.0, 352, 264)

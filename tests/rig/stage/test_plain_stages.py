@@ -92,7 +92,7 @@ def test_bodies_are_in_the_hull_and_the_space_over_them_is_free(stage: PlainStag
 
 
 def test_a_textured_scene_is_no_stage() -> None:
-    ingest, frame = first_pictures(Path(__file__).parents[1] / "demo/workbench")
+    ingest, frame = first_pictures(Path(__file__).parents[2] / "demo/workbench")
     assert find_stage(ingest.views, frame) is None
 
 

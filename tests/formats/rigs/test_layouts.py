@@ -335,7 +335,7 @@ def test_ground_truth_beside_the_frames_is_never_read(tmp_path: Path, make: Any,
 
 
 def test_the_sample_rig_is_n3dv() -> None:
-    rig = open_rig(Path(__file__).parents[1] / "demo" / "workbench")
+    rig = open_rig(Path(__file__).parents[2] / "demo" / "workbench")
     assert (rig.layout, len(rig.cameras), rig.frame_count, rig.fps) == ("n3dv", 13, 9, 30.0)
     # cam00's row: position and focal length as in the file's columns.
     row = np.load(rig.path / "poses_bounds.npy")[0, :15].reshape(3, 5)

@@ -16,7 +16,7 @@ from decogs.formats.cameras import camera_centre, project
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import colmap, detection, fields, nerfstudio, open_rig, rig_json, sources
 
-PAGE = (Path(__file__).parents[2] / "docs" / "rig.md").read_text()
+PAGE = (Path(__file__).parents[3] / "docs" / "rig.md").read_text()
 EXAMPLE = re.search(r"```json\n(.*?)```", PAGE, re.DOTALL)
 NAME = r"`([^`]+)`"
 
