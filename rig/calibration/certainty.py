@@ -44,10 +44,10 @@ Freedom = Literal["focal", "lens", "centre"]
 """What of a lens the adjustment chose: its focal length; its bends, too; its principal point, too."""
 
 
-def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
+def focal_deviations(model: Any, freedom: Freedom, centre: float = _CENTRE) -> dict[int, float]:
     """Standard deviation of each image's focal length, as its share, by the image's number in a pycolmap model.
 
-    With ``lens``, the principal point, which the adjustment held in the middle, may be off it by what is usual.
+    With ``lens``, the principal point, which the adjustment held in the middle, may be off it by ``centre`` widths.
     Infinite where the points leave the lenses open, and for images without points.
     """
     unknown = dict.fromkeys(sorted(model.reg_image_ids()), float(np.inf))
@@ -68,7 +68,7 @@ def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
         normal = _reduced(sights, columns, count, len(places)) / variance
         if freedom == "lens":
             for x, y, width in {(*columns[image][-2:].tolist(), lenses[image].width) for image in images}:
-                normal[[x, y], [x, y]] += (_CENTRE * width) ** -2.0
+                normal[[x, y], [x, y]] += (centre * width) ** -2.0
         scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
         root = np.linalg.cholesky(normal[np.ix_(kept, kept)] * scale * scale[:, None])
     except np.linalg.LinAlgError:

@@ -290,6 +290,7 @@ CHILD = """
 import hashlib, importlib.util, sys
 from pathlib import Path
 
+sys.path.append(str(Path(sys.argv[1]).parents[1]))
 specification = importlib.util.spec_from_file_location("encoder_conftest", sys.argv[1])
 module = importlib.util.module_from_spec(specification)
 sys.modules["encoder_conftest"] = module

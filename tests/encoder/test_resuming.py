@@ -457,9 +457,11 @@ def test_what_goes_wrong_while_frames_are_replayed_touches_nothing(
 
 
 CHILD = """
-import importlib.util, sys
+import importlib.util, os, sys
 
-specification = importlib.util.spec_from_file_location("encoder_conftest", sys.argv.pop(1))
+conftest = sys.argv.pop(1)
+sys.path.append(os.path.join(os.path.dirname(conftest), ".."))
+specification = importlib.util.spec_from_file_location("encoder_conftest", conftest)
 module = importlib.util.module_from_spec(specification)
 sys.modules["encoder_conftest"] = module
 specification.loader.exec_module(module)

@@ -7,17 +7,8 @@ import sys
 
 import pytest
 
-from decogs.formats.cli import progress as progress_module
 from decogs.formats.cli.command_line import progress
-from decogs.formats.cli.progress import Lines
-
-SECONDS, PAUSE = progress_module._SECONDS, progress_module._PAUSE
-
-
-@pytest.fixture(autouse=True)
-def as_users_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(progress_module, "_SECONDS", SECONDS)
-    monkeypatch.setattr(progress_module, "_PAUSE", PAUSE)
+from decogs.formats.cli.progress import Lines, Pace
 
 
 class Clock:
@@ -31,7 +22,7 @@ class Clock:
 def lines_of(steps: int, seconds: float, total: int | None = None) -> list[str]:
     """What work of so many steps, each of so many seconds, prints."""
     stream, clock = io.StringIO(), Clock()
-    shown = Lines(stream, "decoding", "frame", clock=clock)
+    shown = Lines(stream, "decoding", "frame", Pace(), clock=clock)
     for step in range(1, steps + 1):
         clock.now += seconds
         shown.to(step, steps if total is None else total)
@@ -68,7 +59,7 @@ def test_a_job_of_nothing() -> None:
 def test_commands_tell_progress_unless_they_are_quiet(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress_module, "_PAUSE", 0.0)
+    monkeypatch.setattr("decogs.formats.cli.progress._PACE", Pace(pause=0.0))
     for quiet in (False, True):
         with progress("packing", quiet=quiet) as on_frame:
             on_frame(1, 1)

@@ -16,9 +16,9 @@ import pytest
 from board_videos import BOARD, FOCAL, PHONES, POSES, write_board_videos, write_phone_videos
 from decogs.formats.rigs import open_rig
 from decogs.formats.system.extras import install
-from decogs.rig.calibration import by_board as module
 from decogs.rig.calibration.board_rig import BoardRig
 from decogs.rig.calibration.boards import BoardView, parse_board
+from decogs.rig.calibration.by_board import _placed_accurately
 from decogs.rig.calibration.commands import calibrate_main
 from decogs.rig.calibration.lenses import Lens, focal_deviation
 
@@ -43,9 +43,7 @@ def test_a_board_that_is_never_tilted_leaves_the_focal_length_open() -> None:
     assert focal_deviation(_views(0.01), CORNERS, (640, 480)) == np.inf
 
 
-def test_the_camera_with_too_large_an_error_is_left_out_and_the_rest_placed_anew(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_camera_with_too_large_an_error_is_left_out_and_the_rest_placed_anew() -> None:
     asked = []
 
     def place(lenses: dict[int, Lens], *_: object) -> BoardRig:
@@ -53,9 +51,8 @@ def test_the_camera_with_too_large_an_error_is_left_out_and_the_rest_placed_anew
         pose = np.zeros(3), np.zeros(3)
         return BoardRig(dict.fromkeys(lenses, pose), {number: 0.5 + (number == 1) for number in lenses}, ())
 
-    monkeypatch.setattr(module, "place_by_board", place)
     footage: Any = [type("Footage", (), {"size": (1000, 800)})] * 3
-    rig, left_out = module._placed_accurately(dict.fromkeys(range(3), LENS), {}, CORNERS, footage)
+    rig, left_out = _placed_accurately(dict.fromkeys(range(3), LENS), {}, CORNERS, footage, place)
     assert asked == [[0, 1, 2], [0, 2]]
     assert sorted(rig.poses) == [0, 2]
     assert "off by 1.5 px" in left_out[1]

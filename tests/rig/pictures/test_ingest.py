@@ -76,38 +76,6 @@ def test_a_lens_is_taken_out_and_unrecorded_pixels_take_the_nearest_recorded_one
         assert (candidates == picture[:, row, column][:, None]).all(axis=0).any()
 
 
-def test_unrecorded_pixels_never_reach_the_stream(lens_rig: Path, encode: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    clean = encode(lens_rig)
-    apply, random, poisoned = Undistortion.apply, np.random.default_rng(1), 0
-
-    def apply_and_poison(plan: Undistortion, picture: Any) -> Any:
-        nonlocal poisoned
-        undistorted = apply(plan, picture).copy()
-        missing = ~plan.valid
-        undistorted[missing] = random.integers(0, 256, (int(missing.sum()), 3))
-        poisoned += int(missing.sum())
-        return undistorted
-
-    monkeypatch.setattr(Undistortion, "apply", apply_and_poison)
-    assert encode(lens_rig).data == clean.data
-    assert poisoned > 0
-
-
-def test_recorded_pixels_near_the_lens_border_do_reach_the_stream(
-    lens_rig: Path, encode: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    clean = encode(lens_rig, stop=1)
-    apply = Undistortion.apply
-
-    def apply_and_invert(plan: Undistortion, picture: Any) -> Any:
-        undistorted = apply(plan, picture).copy()
-        undistorted[plan.valid] = 255 - undistorted[plan.valid]
-        return undistorted
-
-    monkeypatch.setattr(Undistortion, "apply", apply_and_invert)
-    assert encode(lens_rig, stop=1).data != clean.data
-
-
 def test_display_referred_codes_linear_light_as_srgb() -> None:
     # Worked values of IEC 61966-2-1; 8-bit pictures are display-referred already.
     linear = np.array([[[-1.0, 0.0, 0.002], [0.0031308, 0.18, 0.5], [1.0, 7.0, 0.2140]]], np.float32)

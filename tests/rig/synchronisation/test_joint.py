@@ -43,7 +43,7 @@ def test_pairs_that_agree_tell_fractions_exactly() -> None:
 
 
 def test_a_pair_that_contradicts_the_others_counts_less() -> None:
-    """Wrong by 1.4 frames, it would move both its cameras by 2 / 5 of it to either side, if it counted as the others."""
+    """Wrong by 1.4 frames, it would move each of its cameras by a fifth of it, if it counted as the others."""
     joint = found(STARTS, {(1, 3): 1.4})
     assert from_first(joint) == pytest.approx(STARTS, abs=0.15)
     assert joint.votes.tolist() == [1.0] * 5, "it is within 1.5 frames"

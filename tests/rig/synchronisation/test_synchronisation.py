@@ -18,8 +18,9 @@ from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_recordings, open_rig
 from decogs.formats.sound.tracks import RATE, Sound, read_sound
 from decogs.formats.videos.timecodes import read_timecode
-from decogs.rig.synchronisation import AUTO, drift, find_starts, open_synchronised
+from decogs.rig.synchronisation import AUTO, find_starts, open_synchronised
 from decogs.rig.synchronisation.commands import sync_main
+from decogs.rig.synchronisation.drift import Ends
 from decogs.rig.synchronisation.joint import Joint
 from decogs.rig.synchronisation.motion import starts_by_motion
 from decogs.rig.synchronisation.sound import starts_by_sound
@@ -214,6 +215,7 @@ def test_sound_goes_before_motion_and_what_they_differ_by_is_said(tmp_path: Path
     assert [camera.offset for camera in found.cameras] == pytest.approx([3, 0, 5, 7, 8], abs=0.1)
     (warning,) = found.warnings
     assert warning.startswith("camera cam03: by its audio it starts +6")
+    assert open_synchronised(folder, AUTO).warnings[-1] == warning
 
 
 def test_a_sound_track_is_read_on_the_pictures_clock(tmp_path: Path) -> None:
@@ -337,28 +339,23 @@ def test_a_rig_of_which_nothing_is_known_is_taken_as_it_is_and_that_is_said(tmp_
     assert open_rig(tmp_path / "made").frame_count == 5
 
 
-def test_a_clock_that_runs_apart_is_named_by_what_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_runs_apart_is_named_by_what_moves(tmp_path: Path) -> None:
     """A camera that is slow by 1.5 frames in 100, with windows of a second at either end in place of ten."""
-    monkeypatch.setattr(drift, "MIN_SECONDS", 4.0)
-    monkeypatch.setattr(drift, "MAX_FRAMES", LENGTH)
     cameras, length = ring(), 100 + LENGTH
     clips = [
         np.stack([picture(camera, k * (1.015 if row == 3 else 1), np.random.default_rng(row)) for k in range(length)])
         for row, camera in enumerate(cameras)
     ]
-    found = find_starts(open_recordings(write_rig(tmp_path, clips)))
+    found = find_starts(open_recordings(write_rig(tmp_path, clips)), ends=Ends(least=4.0, watched=LENGTH))
     (warning,) = found.warnings
     told = re.fullmatch(r"camera cam03: its clock is slow by (1\.\d) frames in 3 s .*-itsscale (1\.01\d+) .*", warning)
     assert told is not None
     # A third of a frame, as motion tells fractions of starts.
     assert float(told[1]) == pytest.approx(1.5, abs=0.35)
-    assert open_synchronised(tmp_path, AUTO).warnings[-1] == warning
 
 
-def test_a_clock_that_runs_apart_is_named_by_what_is_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_runs_apart_is_named_by_what_is_heard(tmp_path: Path) -> None:
     """Nothing moves; a camera is fast by 2 in 1000, 1.1 frames from end to end. Of six seconds each."""
-    monkeypatch.setattr(drift, "MIN_SECONDS", 20.0)
-    monkeypatch.setattr(drift, "_LISTENED", 6.0)
     cameras, rng, seconds, fast = ring(), np.random.default_rng(3), 25, 2e-3
     still, times = np.full((30 * seconds, 16, 16, 3), 90, np.uint8), np.cumsum(rng.uniform(0.3, 0.9, 40))
     folder = write_rig(tmp_path, [clip(camera, 0, length=1) for camera in cameras], length_unit="metre")
@@ -372,16 +369,14 @@ def test_a_clock_that_runs_apart_is_named_by_what_is_heard(tmp_path: Path, monke
     for camera_of in document["cameras"]:
         camera_of |= {"width": 16, "height": 16, "cx": 8.0, "cy": 8.0}
     (folder / "rig.json").write_text(json.dumps(document))
-    (warning,) = find_starts(open_recordings(folder)).warnings
+    (warning,) = find_starts(open_recordings(folder), ends=Ends(least=20.0, listened=6.0)).warnings
     told = re.match(r"camera cam02: its clock is fast by (1\.\d) frames in 19 s \((\d+) in a million\)", warning)
     assert told is not None
     assert float(told[2]) == pytest.approx(2000, abs=180)  # a tenth of a frame, as sound tells starts
 
 
-def test_clocks_that_agree_are_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drift, "MIN_SECONDS", 2.0)
-    monkeypatch.setattr(drift, "MAX_FRAMES", LENGTH)
+def test_clocks_that_agree_are_not_named(tmp_path: Path) -> None:
     clips = [clip(camera, start, length=3 * LENGTH) for camera, start in zip(ring(), STARTS, strict=True)]
-    found = find_starts(open_recordings(write_rig(tmp_path, clips)))
+    found = find_starts(open_recordings(write_rig(tmp_path, clips)), ends=Ends(least=2.0, watched=LENGTH))
     assert [camera.offset for camera in found.cameras] == STARTS
     assert found.warnings == ()

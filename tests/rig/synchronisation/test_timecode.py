@@ -17,8 +17,8 @@ from decogs.formats.rigs import Rig
 from decogs.formats.rigs.rig import recorded_rate
 from decogs.formats.rigs.timeline import Timeline
 from decogs.formats.videos.reading import VideoSource
-from decogs.formats.videos.timecodes import read_timecode, timecode_of
-from decogs.rig.synchronisation import timecode as by_timecode
+from decogs.formats.videos.timecodes import Timecode, read_timecode, timecode_of
+from decogs.rig.synchronisation.joint import Joint
 from decogs.rig.synchronisation.timecode import starts_by_timecode
 
 NTSC = 60000 / 1001
@@ -33,20 +33,18 @@ def rig_of(rates: list[float], fps: float | None = None) -> Rig:
     return Rig(Path("rig"), "", cameras, sources, fps, 100, timeline=Timeline(recorded_rate(sources, fps)))
 
 
-@pytest.fixture
-def stated(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Sets what each camera's file states: text and numbers in a second."""
-
-    def state(*stamps: tuple[str, int | None]) -> None:
-        found = {f"c{number}": by_timecode.Timecode(*stamp) for number, stamp in enumerate(stamps)}
-        monkeypatch.setattr(by_timecode, "read_timecode", lambda path: found[path.name])
-
-    return state
+Stamp = tuple[str, int | None]
 
 
-def differences(rig: Rig) -> list[float]:
-    starts = starts_by_timecode(rig)[0].starts
-    return [round(float(start - starts[0]), 6) for start in starts]
+def starts(rig: Rig, *stamps: Stamp) -> tuple[Joint, tuple[str, ...]]:
+    """The starts, where each camera's file states a text and numbers in a second."""
+    stated = {f"c{number}": Timecode(*stamp) for number, stamp in enumerate(stamps)}
+    return starts_by_timecode(rig, lambda path: stated[path.name])
+
+
+def differences(rig: Rig, *stamps: Stamp) -> list[float]:
+    found = starts(rig, *stamps)[0].starts
+    return [round(float(start - found[0]), 6) for start in found]
 
 
 @pytest.mark.parametrize(
@@ -102,34 +100,31 @@ def occurrences(data: bytearray, word: bytes) -> list[int]:
 
 
 @pytest.mark.parametrize("fps", [50.0, NTSC])
-def test_two_pictures_may_share_a_number(fps: float, stated: Any) -> None:
+def test_two_pictures_may_share_a_number(fps: float) -> None:
     half = round(fps / 2)
-    stated(("10:00:01:05", half), ("10:00:01:20", half), ("10:00:02:00", half))
-    assert differences(rig_of([fps] * 3)) == [0, 30, 2 * (half - 5)]
-    assert starts_by_timecode(rig_of([fps] * 3))[0].errors.tolist() == [0.5] * 3, "two pictures, not one"
+    rig, stamps = rig_of([fps] * 3), [("10:00:01:05", half), ("10:00:01:20", half), ("10:00:02:00", half)]
+    assert differences(rig, *stamps) == [0, 30, 2 * (half - 5)]
+    assert starts(rig, *stamps)[0].errors.tolist() == [0.5] * 3, "two pictures, not one"
 
 
-def test_where_nothing_tells_what_a_second_counts_it_is_not_used(stated: Any) -> None:
-    stated(("10:00:01:05", None), ("10:00:01:20", None))
-    found, warnings = starts_by_timecode(rig_of([50.0] * 2))
+def test_where_nothing_tells_what_a_second_counts_it_is_not_used() -> None:
+    one, two = ("10:00:01:05", None), ("10:00:01:20", None)
+    found, warnings = starts(rig_of([50.0] * 2), one, two)
     assert np.isnan(found.starts).all()
     (warning,) = warnings
     assert "camera c0 and 1 more: nothing says whether the timecode 10:00:01:05 counts every frame of 50 a" in warning
-    stated(("10:00:01:05", None), ("10:00:01:40", None))
-    assert differences(rig_of([50.0] * 2)) == [0, 35], "a number above 24 is of 50"
-    stated(("10:00:01:05", None), ("10:00:01:20", None))
-    assert differences(rig_of([25.0] * 2)) == [0, 15], "25 are counted one by one"
+    assert differences(rig_of([50.0] * 2), one, ("10:00:01:40", None)) == [0, 35], "a number above 24 is of 50"
+    assert differences(rig_of([25.0] * 2), one, two) == [0, 15], "25 are counted one by one"
 
 
-def test_drop_frame_beside_others_is_named_and_most_cameras_are_believed(stated: Any) -> None:
-    stated(("14:30:00;10", 60), ("14:30:00:22", 60), ("14:30:00;15", 60))
-    found, warnings = starts_by_timecode(rig_of([NTSC] * 3))
-    assert differences(rig_of([NTSC] * 3))[::2] == [0, 5]
+def test_drop_frame_beside_others_is_named_and_most_cameras_are_believed() -> None:
+    rig, stamps = rig_of([NTSC] * 3), [("14:30:00;10", 60), ("14:30:00:22", 60), ("14:30:00;15", 60)]
+    found, warnings = starts(rig, *stamps)
+    assert differences(rig, *stamps)[::2] == [0, 5]
     assert np.isnan(found.starts[1])
     (warning,) = warnings
     assert "camera c0 and 1 more counts drop-frame timecode, camera c1 does not" in warning
-    stated(("14:30:00;10", 60), ("14:30:00:22", 60))
-    assert np.isnan(starts_by_timecode(rig_of([NTSC] * 2))[0].starts).all(), "one against one"
+    assert np.isnan(starts(rig_of([NTSC] * 2), *stamps[:2])[0].starts).all(), "one against one"
 
 
 @pytest.mark.parametrize(
@@ -144,16 +139,15 @@ def test_drop_frame_beside_others_is_named_and_most_cameras_are_believed(stated:
     ],
 )
 def test_midnight_is_passed_by_the_day_of_the_timecode(
-    before: str, after: str, fps: float, per_second: int, apart: int, stated: Any
+    before: str, after: str, fps: float, per_second: int, apart: int
 ) -> None:
-    stated((before, per_second), (after, per_second))
-    assert differences(rig_of([fps] * 2)) == [0, apart]
+    assert differences(rig_of([fps] * 2), (before, per_second), (after, per_second)) == [0, apart]
 
 
-def test_starts_are_in_frames_as_recorded_whatever_rate_is_played(stated: Any) -> None:
-    stated(("10:00:00:00", 30), ("10:00:01:15", 30))
-    assert differences(rig_of([30.0] * 2, fps=15.0)) == [0, 45]
-    assert differences(rig_of([30.0, 30.0], fps=29.97)) == [0, 45]
+def test_starts_are_in_frames_as_recorded_whatever_rate_is_played() -> None:
+    stamps = ("10:00:00:00", 30), ("10:00:01:15", 30)
+    assert differences(rig_of([30.0] * 2, fps=15.0), *stamps) == [0, 45]
+    assert differences(rig_of([30.0, 30.0], fps=29.97), *stamps) == [0, 45]
 
 
 @dataclass(frozen=True)
@@ -165,7 +159,7 @@ class Untimed:
     fps: float | None = None
 
 
-def test_the_rate_of_a_rig_is_the_slowest_recording_s(stated: Any) -> None:
+def test_the_rate_of_a_rig_is_the_slowest_recording_s() -> None:
     sources: Any = rig_of([60.0, NTSC / 2]).sources
     assert recorded_rate(sources, 15.0) == Fraction(30000, 1001)
     nobody: Any = [Untimed(Path("a"))]
