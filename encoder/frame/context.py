@@ -49,9 +49,13 @@ class Context:
         threads: int,
         device: str = "auto",
         on_loss: OnLoss | None = None,
+        kernel: TrainingKernel | None = None,
     ) -> Context:
-        """Raises UsageError for a device or a method that is not there, or a camera that cannot be compensated."""
-        kernel = training_kernel(device, threads, ingest.background or BLACK)
+        """Raises UsageError for a device or a method that is not there, or a camera that cannot be compensated.
+
+        ``kernel``: None is the ``device``'s.
+        """
+        kernel = kernel or training_kernel(device, threads, ingest.background or BLACK)
 
         def cameras() -> Sequence[Camera]:
             return [view.pinhole for view in ingest.views]

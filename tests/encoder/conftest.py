@@ -79,7 +79,7 @@ Encode = Callable[..., Encoded]
 def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     chosen: dict[str, Any] = {
         "settings": TINY, "holdout": [HELD_OUT], "seed": 0, "threads": 1, "scale": 1.0, "on_frame": None,
-        "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None, "resume": False,
+        "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None, "resume": False, "kernel": None,
     } | options  # fmt: skip
     opened = open_rig(rig)
     lens = chosen["settings"].corrections.lens
@@ -114,7 +114,8 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
             on_keyframe_step=chosen["on_keyframe_step"],
         )
         span = range(chosen["start"], chosen["stop"] or opened.frame_count)
-        context = Context.of(ingest, chosen["settings"], seed=chosen["seed"], threads=chosen["threads"])
+        given = {name: chosen[name] for name in ("seed", "threads", "kernel")}
+        context = Context.of(ingest, chosen["settings"], **given)
         report = encode_stream(context, output, span, options, resume=chosen["resume"])
     return Encoded(output, report, states, selected)
 
@@ -123,7 +124,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
 def encode(tmp_path_factory: pytest.TempPathFactory) -> Encode:
     """``encode(rig, settings=, holdout=, seed=, threads=, scale=, start=, stop=, keyframe=, resume=, output=)``.
 
-    It observes what it runs.
+    It observes what it runs. ``kernel=``: None is the native one.
     """
 
     def run(rig: Path, *, output: Path | None = None, **options: Any) -> Encoded:

@@ -16,7 +16,6 @@ from decogs.codec.header.header import StreamHeader
 from decogs.codec.scene.lattice import default_lattice, dequantise
 from decogs.codec.scene.state import take_rows
 from decogs.decoder.reading.stream import open_stream
-from decogs.encoder.backends.cpu.optimiser import CpuOptimiser
 from decogs.encoder.coding.changes import delta_of
 from decogs.encoder.frame.commit import commit
 from decogs.encoder.frame.events import Event, Kind
@@ -30,6 +29,7 @@ from decogs.encoder.training.method import FrameInput, TrainedFrame
 from decogs.encoder.training.seeding import _confirm, _Found
 from decogs.encoder.training.warm_start import Motion
 from decogs.formats.splats import Splats, empty_splats
+from noting_kernel import NotingKernel
 from packets import iterate_packets
 
 
@@ -100,21 +100,14 @@ def test_a_delta_keeps_the_quaternions_that_turn_alike(moving: Any) -> None:
 
 
 def test_rates_fall_over_the_second_half_of_a_frame(
-    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any
 ) -> None:
-    rates: list[float] = []
-    step = CpuOptimiser.step
-
-    def noted(self: Any, gradients: Any, given: Any, **options: Any) -> None:
-        rates.append(given.log_scales)
-        step(self, gradients, given, **options)
-
-    monkeypatch.setattr(CpuOptimiser, "step", noted)
-    steps = 20
+    kernel, steps = NotingKernel(), 20
     frame = replace(tiny_settings.frame, joint_iterations=steps)
-    encode(moving_rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path, stop=2)
+    encode(moving_rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path, stop=2, kernel=kernel)
+    rates = np.array([given.log_scales for given in kernel.rates])
     expected = [0.2 ** max(0.0, 2 * done / steps - 1) for done in range(steps)]
-    np.testing.assert_allclose(np.array(rates) / rates[0], expected, rtol=1e-6)
+    np.testing.assert_allclose(rates / rates[0], expected, rtol=1e-6)
 
 
 # What a frame leaves behind

@@ -104,10 +104,11 @@ def test_the_page_shows_every_camera_twice_and_what_is_not_connected(tmp_path: P
         ring(),
         placed=tuple(replace(one, footage=footage) for one in ring().placed),
         not_connected={"cam<9>": "sees nothing"},
-        links={("cam0", "cam1"): 12},
+        links={("cam0", "cam1"): 12, ("cam2", "cam1"): 30, ("cam1", "cam3"): 20, ("cam1", "cam9"): 50},
     )
     page = page_of(found, "rig")
     assert page.count("<polygon") == 8
-    assert page.count("<line") == 2
-    assert "cam1 (12)" in page
+    assert page.count("<line") == 2 * 3, "of what is placed"
+    assert "<td>cam1 (12)</td>" in page
+    assert "<td>cam2 (30), cam3 (20), cam0 (12)</td>" in page
     assert "cam&lt;9&gt;: sees nothing" in page

@@ -47,6 +47,12 @@ def test_a_pair_that_contradicts_the_others_counts_less() -> None:
     joint = found(STARTS, {(1, 3): 1.4})
     assert from_first(joint) == pytest.approx(STARTS, abs=0.15)
     assert joint.votes.tolist() == [1.0] * 5, "it is within 1.5 frames"
+    agreed = found(STARTS).errors
+    # Its pairs share their faults: twice the error that a mean of four would have, of which one is off by all of it.
+    weight = 0.25 / 1.4
+    scatter = weight * 1.4**2 / (3 + weight) / 3
+    assert joint.errors[[1, 3]] ** 2 - agreed[[1, 3]] ** 2 == pytest.approx([4 * scatter] * 2, rel=0.15)
+    assert joint.errors[[0, 2, 4]] == pytest.approx(agreed[[0, 2, 4]], rel=0.05)
 
 
 def test_a_pair_that_is_frames_off_has_no_vote_and_no_say() -> None:

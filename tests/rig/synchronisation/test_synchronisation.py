@@ -147,6 +147,12 @@ def test_fractions_stay_where_cameras_scatter_more_than_their_errors() -> None:
     assert np.ptp(late - whole - halves - errors) == pytest.approx(0)
 
 
+def test_whole_frames_are_counted_from_where_most_cameras_are() -> None:
+    starts = np.array([3.55, 0.3, 1.3, 4.3, 2.3])
+    found = whole_if_in_step(Joint(starts, np.full(5, 0.22), np.ones(5))).starts
+    assert (found - found[1]).tolist() == [3, 0, 1, 4, 2]
+
+
 @pytest.mark.parametrize("what", ["still", "backwards", "short"])
 def test_where_nothing_says_it_the_start_is_unknown(what: str) -> None:
     cameras = ring()
