@@ -90,11 +90,12 @@ TUNING = Tuning()
 
 @dataclass(frozen=True)
 class TrainedKeyframe:
-    """The trained scene, its lattice, and the steps of training."""
+    """The trained scene, its lattice, the steps of training, and the PSNR of the tiles kept back at every check."""
 
     splats: Splats
     lattice: Lattice
     steps: int
+    checks: tuple[float, ...] = ()
 
 
 def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
@@ -223,6 +224,7 @@ class _KeyframeTraining:
         self._fit, self._factor = fit, 0
         self._values: list[list[LossValue]] = []
         self._reported_loss = float("nan")
+        self._checks: list[float] = []
         self._set_picture_scale(fit.scales[0].factor)
         self._kept_back = [_validation_pixels(view, c) for view, c in zip(views, counted, strict=True)]
         self._stage = stage
@@ -245,7 +247,7 @@ class _KeyframeTraining:
             seen |= self._stage.on_backdrop(splats.means)
         if not seen.all():
             splats = take_splats(splats, seen)
-        return TrainedKeyframe(splats, lattice, steps)
+        return TrainedKeyframe(splats, lattice, steps, tuple(self._checks))
 
     def _extrapolate_border(self) -> int:
         """Adds Gaussians beside the pictures, where training leaves black; returns how many."""
@@ -301,6 +303,7 @@ class _KeyframeTraining:
                 and step > settings.iterations // 2
             ):
                 score = self.validation_psnr(step)
+                self._checks.append(score)
                 if score > best:
                     best, waited = score, 0
                     best_optimiser = self._optimiser.copy()

@@ -66,14 +66,15 @@ def test_a_distorted_rig_says_so_in_its_header(encode: Any, lens_rig: Path, movi
 # Rotations
 
 
-def test_the_largest_component_of_a_keyframes_rotations_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_component_of_a_keyframes_rotations_is_one() -> None:
     """However little a rotation shows: without it, nothing would say which way the Gaussian is turned."""
-    monkeypatch.setattr(keyframe, "picture_weight", lambda _: 1.0)
     splats = Splats(*(np.zeros((10, *shape), np.float32) for shape in ((3,), (3,), (4,), (), (1, 3))))
     splats.quaternions[:, 0] = 1
     splats.quaternions[9] = [0.1, -0.9, 0.2, 0.3]
     optimiser = SimpleNamespace(splats=splats, gradient_size=lambda name: np.zeros_like(getattr(splats, name)))
-    stub: Any = SimpleNamespace(_optimiser=optimiser, _settings=SimpleNamespace(rd_lambda=1.0), _losses=[])
+    stub: Any = SimpleNamespace(
+        _optimiser=optimiser, _settings=SimpleNamespace(rd_lambda=1.0), _losses=[SimpleNamespace(emphasis=1e6)]
+    )
     lattice = default_lattice(1.0)
     one, judged = round(1 / lattice.quaternions), keyframe._KeyframeTraining._rd_quantised(stub, lattice).quaternions
     np.testing.assert_array_equal(judged[:9], [[one, 0, 0, 0]] * 9)

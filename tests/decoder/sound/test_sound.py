@@ -159,6 +159,17 @@ def test_it_alone_is_a_wav(sounding: Path, small_stream, tmp_path: Path, capsys:
         assert not (tmp_path / "no.wav").exists()
 
 
+def test_a_wav_of_two_loud_tracks_stops_at_full_level(small_stream, tmp_path: Path) -> None:
+    """Above it, a sample would come out at the other end: a crack."""
+    assert decode_sound(with_sound(small_stream.path, tmp_path / "loud.dgs", [SoundTrack(1)] * 4), tmp_path / "x.wav")
+    with wave.open(str(tmp_path / "x.wav")) as written:
+        samples = np.frombuffer(written.readframes(written.getnframes()), "<i2")
+    assert (samples.min(), samples.max()) == (-32767, 32767)
+    steps = np.abs(np.diff(samples.reshape(-1, 2).astype(int), axis=0))
+    # Four tones of half of full level and up to some kHz: a sine's step, and what coding adds.
+    assert steps.max() < 4 * 32767 / 2 * 2 * np.pi * (FIRST_TONE + 20 * STEP) / RATE + 2000
+
+
 def test_a_film_of_another_rate_or_on_wish_has_none(sounding: Path, tmp_path: Path) -> None:
     import av
 

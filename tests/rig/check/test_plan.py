@@ -38,10 +38,11 @@ def test_cameras_without_points_fill_the_plan() -> None:
     assert apart(None) == pytest.approx(440, abs=0.2)  # 560 pixels less two margins of 60; written to a tenth
 
 
-def test_points_are_shown_as_far_as_three_times_the_cameras_distance() -> None:
+@pytest.mark.parametrize("side", [-1, 1])
+def test_points_are_shown_as_far_as_three_times_the_cameras_distance(side: int) -> None:
     """Two units between the cameras, then 2 + 6 from one end to the other, however far the points are."""
-    at = np.linspace(0, 1, 101)[:, None] * [1.0, 0.0, 0.0]
-    near, beyond = (apart(np.array([0.0, 0.0, 1.0]) - reach * at) for reach in (4.0, 1000.0))
+    at, begin = np.linspace(0, 1, 101)[:, None] * [side, 0.0, 0.0], [2.0 * (side > 0), 0.0, 1.0]
+    near, beyond = (apart(begin + reach * at) for reach in (4.0, 1000.0))
     # Of the points a twentieth at either end is not shown.
     assert near == pytest.approx(440 * 2 / (2 + 3.8), abs=0.2)
     assert beyond == pytest.approx(440 * 2 / (2 + 6), abs=0.2)

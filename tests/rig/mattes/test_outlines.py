@@ -97,10 +97,8 @@ def test_chroma_half_a_pixel_off_is_put_back() -> None:
     assert iou(mended, matte) > iou(right, matte) - 0.005
 
 
-def test_outlines_follow_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outlines_follow_the_picture() -> None:
     picture, matte = on_green()
-    halved = with_half_size_chroma(picture, stated=True)
-    fitted = [iou(each, matte) for each in (picture, halved)]
-    monkeypatch.setattr("decogs.rig.mattes.cutting.fitted", lambda picture, guess, free: guess)
-    guessed = [iou(each, matte) for each in (picture, halved)]
-    assert min(np.subtract(fitted, guessed)) > 0.001  # measured: .981 from .973, and .959 from .954
+    # Measured: .981 and .959; .973 and .954 where outlines are as the key guesses them.
+    assert iou(picture, matte) > 0.977
+    assert iou(with_half_size_chroma(picture, stated=True), matte) > 0.9565
