@@ -51,7 +51,7 @@ def frame_noise(
 def picture_noise(before: FloatArray, now: FloatArray, samples: int = _SAMPLE_COUNT) -> float:
     """Deviation of one picture by noise, in 8-bit levels, from two, (H, W) or (C, H, W), 0..1."""
     planes = [picture if picture.ndim == 3 else picture[None] for picture in (before, now)]
-    detail: FloatArray = np.stack([_laplacian(*pair, samples) for pair in zip(*planes, strict=True)])
+    detail: FloatArray = np.stack([_laplacian(one, two, samples) for one, two in zip(*planes, strict=True)])
     from_neighbours = _robust_deviation(_sample(detail, samples)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
     across = _deviation_across_light(*planes)
     return from_neighbours if from_neighbours <= _MAX_NOISE_RATIO * across else across

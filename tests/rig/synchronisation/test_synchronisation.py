@@ -265,6 +265,8 @@ def test_ways_are_tied_by_the_cameras_that_both_know() -> None:
     found = joined(["a", "b", "c", "d"], Fraction(30), [("audio", sound), ("motion", moved)])
     assert [camera.offset for camera in found.cameras] == [0.0, 2.0, 1.0, None]
     assert [camera.method for camera in found.cameras] == ["audio", "audio", "motion", None]
+    # The votes times the chance of being less than half a frame off, which is 5 and 2.5 standard errors.
+    assert [camera.confidence for camera in found.cameras] == pytest.approx([1, 1, 0.9876, 0], abs=5e-4)
     apart = Joint(np.array([nan, nan, 4.0, 9.0]), np.array([nan, nan, 0.2, 0.2]), np.array([0.0, 0, 1, 1]))
     alone = joined(["a", "b", "c", "d"], Fraction(30), [("audio", sound), ("motion", apart)])
     assert [camera.offset for camera in alone.cameras] == [0.0, 2.0, None, None], "nothing ties the two clocks"
