@@ -72,6 +72,9 @@ def test_a_spiral_stays_within_the_rig() -> None:
     places = np.array([camera_centre(camera) for camera in camera_move("spiral", ToFilm(ARC, 30.0, 200)).cameras])
     far = np.abs(places - centres.mean(axis=0)).max(axis=0)
     assert 0 < far[0] < np.abs(centres - centres.mean(axis=0)).max(axis=0)[0]
+    away = np.linalg.norm(places - centres.mean(axis=0), axis=1)
+    assert away[0] == pytest.approx(0, abs=1e-12), "it begins in the rig's middle"
+    assert away[-1] < away[100] / 20, "and comes back there"
 
 
 def test_short_streams_play_to_and_fro() -> None:
