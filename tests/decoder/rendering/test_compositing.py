@@ -45,6 +45,16 @@ def some_rendering() -> Rendering:
     return Rendering(image, alpha, np.where(alpha > 0, np.float32(4.5), np.float32(0)))
 
 
+@pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), None])
+def test_light_above_half_precision_is_the_brightest_that_it_holds(
+    tmp_path: Path, background: tuple[float, float, float] | None
+) -> None:
+    rendering = some_rendering()
+    rendering.image[1, 2], rendering.alpha[1, 2] = 500, 1  # 2.6 million in linear light
+    save_exr(tmp_path / "x.exr", rendering, Layers(CAMERA, background), fps=24)
+    assert channels_of(tmp_path / "x.exr")["R"][1, 2] == 65504
+
+
 def test_over_the_streams_background_is_the_picture(tmp_path: Path) -> None:
     """``over`` as Porter and Duff 1984 have it, in linear light, from the file's own numbers."""
     rendering, background = some_rendering(), (0.2, 0.5, 0.9)
