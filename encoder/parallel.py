@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import islice
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import cv2
 
@@ -23,17 +25,44 @@ class Each(Protocol):
 
 @contextmanager
 def side_by_side(threads: int) -> Iterator[Each]:
-    """A ``map`` on ``threads`` threads, 0 for one per processor.
+    """A ``map`` on ``threads`` threads, 0 for one per processor; all of its work is done at the end.
 
     OpenCV's own threads are off meanwhile: they would only get in the way, and its flow depends on how many there are.
     """
-    own_threads = cv2.getNumThreads()
+    own_threads, pool = cv2.getNumThreads(), _POOLS.of(threads or processor_count())
+    begun: list[Future[Any]] = []
+
+    def each(work: Callable[..., R], /, *views: Iterable[object]) -> Iterator[R]:
+        futures = [pool.submit(work, *view) for view in zip(*views, strict=False)]
+        begun.extend(futures)
+        return (future.result() for future in futures)
+
     cv2.setNumThreads(1)
     try:
-        with ThreadPoolExecutor(threads or processor_count()) as pool:
-            yield pool.map
+        yield each
+    except BaseException:
+        for future in begun:
+            future.cancel()
+        raise
     finally:
+        wait(begun)
         cv2.setNumThreads(own_threads)
+
+
+class _Pools(threading.local):
+    """Threads are kept, for each thread that asks: what works side by side may itself ask for others."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[int, int], ThreadPoolExecutor] = {}
+
+    def of(self, threads: int) -> ThreadPoolExecutor:
+        key = os.getpid(), threads  # a forked child has none of its parent's
+        if key not in self._made:
+            self._made[key] = ThreadPoolExecutor(threads)
+        return self._made[key]
+
+
+_POOLS = _Pools()
 
 
 def ahead(items: Iterable[R]) -> Iterator[R]:

@@ -56,6 +56,9 @@ class LateView:
         assert self._shown is not None
         self._view.set_scene(self._shown)
 
+    def refresh(self) -> None:
+        self._view.refresh()
+
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
         return self._view.redraw(marks)
 

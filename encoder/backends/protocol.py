@@ -167,8 +167,8 @@ class ViewGradients(Protocol):
 class FixedView(Protocol):
     """The picture of a pinhole ``camera``, kept up to date while Gaussians change a few at a time.
 
-    The order of calls: ``set_scene``; then for every frame ``redraw`` (as often as wanted), ``detach`` the Gaussians
-    that are about to change, ``draw`` and ``backward`` as often as wanted, ``commit``.
+    The order of calls: ``set_scene``; then for every frame ``refresh`` or ``redraw`` (as often as wanted), ``detach``
+    the Gaussians that are about to change, ``draw`` and ``backward`` as often as wanted, ``commit``.
 
     ``rgb`` (3, H, W), ``alpha`` and ``depth`` (H, W; the depth summed by weight) are the picture as last drawn or
     redrawn; ``alpha`` and ``depth`` are those of the last redraw or of the last draw with ``depth``.
@@ -195,10 +195,13 @@ class FixedView(Protocol):
         """One per 16x16 tile: whether a Gaussian of the last ``draw`` meets it. Nothing else can change its pixels."""
 
     def set_scene(self, scene: Splats) -> None:
-        """Starts with a whole scene (N Gaussians), all of it static; the picture is there after ``redraw``."""
+        """Starts with a whole scene (N Gaussians), all of it static; the picture is there after ``refresh``."""
+
+    def refresh(self) -> None:
+        """Brings the picture up to date with the static scene."""
 
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
-        """Brings the picture up to date with the static scene; every Gaussian's rendering weight, (2, N).
+        """`refresh`, and every Gaussian's rendering weight, (2, N).
 
         The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
         """
@@ -223,7 +226,7 @@ class FixedView(Protocol):
     ) -> LossValue:
         """``TrainingKernel.picture_loss`` of the last ``draw`` in the tiles of ``met``; its gradient waits.
 
-        The arrays must not change until the next ``detach``: a device keeps its copy of them for a frame.
+        The arrays must not change as long as they live: a device keeps its copy of them.
         """
 
     def backward(self, v_rgb: FloatArray | None = None, *, out: SplatGradients | None = None) -> Gradients:
@@ -280,6 +283,9 @@ class TrainingKernel(Protocol):
         arrays must not change as long as they live: a device keeps its copy of them. Source: Wang 2004, Kerbl 2023
         eq. 7.
         """
+
+    def bring(self, *arrays: FloatArray | None) -> None:
+        """Starts to bring arrays of a coming loss to where it is evaluated; on any thread."""
 
     def backward(
         self,

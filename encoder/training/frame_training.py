@@ -144,7 +144,9 @@ def frame_training(context: TrainingContext, frame: FrameInput, loss: LossOfView
     """The training of a frame with one ``loss`` for every view."""
 
     def of_view(picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
-        return loss(picture, mask.dilated, view.valid, frame.settings.focus)
+        made = loss(picture, mask.dilated, view.valid, frame.settings.focus)
+        context.kernel.bring(made.target, made.l1_weight, made.focus)
+        return made
 
     with side_by_side(context.threads) as each:
         losses = list(each(of_view, frame.pictures, frame.masks, context.views))

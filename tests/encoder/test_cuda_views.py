@@ -246,12 +246,11 @@ def test_equal_depths_keep_the_scenes_order(backend: Backend, detached: np.ndarr
 
 def test_the_next_frame_brings_its_own_targets(backend: Backend) -> None:
     scene, rows = small_scene(4), np.arange(20)
-    view = backend.make().fixed_view(CAMERA)
+    view, values = backend.make().fixed_view(CAMERA), []
     view.set_scene(scene)
-    target, values = np.zeros((3, 61, 83), np.float32), []
     for level in (0.0, 0.5):
-        target[:] = level  # the same array, as a reader that has only one would bring
-        view.redraw()
+        target = np.full((3, 61, 83), level, np.float32)  # may lie where the last one lay
+        view.refresh()
         view.detach(rows)
         view.draw(take_splats(scene, rows), rows)
         values.append(view.loss(target, l1_scale=1.0, ssim_scale=0.0).total)

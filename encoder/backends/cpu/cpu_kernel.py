@@ -136,6 +136,9 @@ class CpuKernel:
         )
         return value
 
+    def bring(self, *arrays: FloatArray | None) -> None:
+        pass  # They are there.
+
     def loss(
         self,
         image: FloatArray,

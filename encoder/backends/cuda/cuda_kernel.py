@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import cached_property, partial
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -20,7 +21,7 @@ from decogs.formats.splats import FloatArray, Splats, take_splats
 from ..arguments import check_cotangents
 from ..protocol import ATTRIBUTES, BLACK, Colour, Drawable, LossValue, SplatGradients
 from .device import Resident, read_floats, upload
-from .fixed_view import CudaFixedView
+from .fixed_view import Committed, CudaFixedView
 from .gradients import CudaViewGradients, DeviceGradients
 from .module import CompiledKernels, Kernels
 from .optimiser import CudaOptimiser
@@ -64,7 +65,7 @@ class CudaKernel:
         self._lenses = Resident(partial(Lens, device=self.device))
         self._drawn: Drawn | None = None
         self._gradient: Tensor | None = None
-        self._part: tuple[Splats, RowArray, Stored] | None = None
+        self._committed: tuple[tuple[Splats, RowArray, RowArray | None], Committed] | None = None
 
     def forward(
         self,
@@ -95,9 +96,16 @@ class CudaKernel:
     ) -> LossValue:
         if self._drawn is None:
             raise ValueError("picture_loss needs a forward before it")
-        given = [None if a is None else self._arrays.of(a) for a in (target, l1_weight, focus)]
+        given = self.brought(target, l1_weight, focus)
         value, self._gradient = self.compare(self._drawn.planes.rgb, given, None, l1_scale, ssim_scale)
         return value
+
+    def bring(self, *arrays: FloatArray | None) -> None:
+        self.brought(*arrays)
+
+    def brought(self, *arrays: FloatArray | None) -> list[Tensor | None]:
+        """The arrays' copies on the device."""
+        return [None if array is None else self._arrays.of(array) for array in arrays]
 
     def backward(
         self,
@@ -143,11 +151,17 @@ class CudaKernel:
         splats = drawn if isinstance(drawn, Splats) else drawn.splats
         return Stored.of([self.upload(getattr(splats, name)) for name in ATTRIBUTES], sh_degree)
 
-    def part(self, scene: Splats, rows: RowArray) -> Stored:
-        """Stored values of a scene's ``rows`` on the device; they travel once for all views that ask in a row."""
-        if self._part is None or self._part[0] is not scene or self._part[1] is not rows:
-            self._part = scene, rows, self.stored(take_splats(scene, rows))
-        return self._part[2]
+    def committed(self, scene: Splats, rows: RowArray, renumbered: RowArray | None) -> Committed:
+        """What a commit brings, which travels once for all views that ask in a row."""
+        asked = (scene, rows, renumbered)
+        if self._committed is None or any(a is not b for a, b in zip(asked, self._committed[0], strict=True)):
+            kept = None
+            if renumbered is not None:
+                stays = np.flatnonzero(renumbered >= 0)
+                kept = self.upload(stays), self.upload(renumbered[stays])
+            found = Committed(self.stored(take_splats(scene, rows)), self.upload(rows), kept)
+            self._committed = asked, found
+        return self._committed[1]
 
     def _last(self, count: int) -> Drawn:
         if self._drawn is None or count != len(self._drawn.stored):

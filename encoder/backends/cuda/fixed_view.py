@@ -7,7 +7,7 @@ Open: static Gaussians are listed anew for every draw, which takes a tenth of it
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -31,13 +31,20 @@ _RED, _GREEN = 6, 7
 """Among the moments of a Gaussian (cpu/kernel/backward_projection.h)."""
 
 
+class Committed(NamedTuple):
+    """A commit's new values and their rows; and rows that stay, their former and their new numbers, None for all."""
+
+    stored: Stored
+    rows: Tensor
+    kept: tuple[Tensor, Tensor] | None
+
+
 class CudaFixedView:
     """``FixedView`` whose pictures stay on the device; ``rgb``, ``alpha``, ``depth`` and ``met`` are copies of them."""
 
     _drawn: Drawn | None
     _gradient: Tensor | None
-    _given: tuple[FloatArray | None, FloatArray | None, FloatArray | None]
-    _uploaded: list[Tensor | None]
+    _whole: Drawn | None
 
     def __init__(self, kernel: CudaKernel, camera: Camera) -> None:
         self._kernel, self.camera = kernel, camera
@@ -73,25 +80,30 @@ class CudaFixedView:
         self._tiles.stale.fill_(1)
         self._forget()
 
-    def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
-        """Everything is drawn again, since the weights are sums over the whole picture.
+    def refresh(self) -> None:
+        self._refreshed()
 
-        A Gaussian's weight is the moment of its red for a cotangent of 1 in every pixel, of its green for 1 in every
-        marked one.
-        """
+    def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
+        """A Gaussian's weight is the moment of its red for a cotangent of 1 everywhere, of its green for the marks."""
         check_marks(marks, self.camera)
-        splatting, lens = self._kernel.splatting, self._lens
-        lists = splatting.lists(self._all, lens, None, None)
-        splatting.composite(self._all, lens, lists, self._planes)
-        self._travelled = None
-        self._tiles.stale.zero_()
+        whole = self._refreshed()
         cotangent = torch.zeros_like(self._planes.rgb)
         cotangent[0] = 1
         if marks is not None:
             cotangent[1] = self._kernel.upload(marks)
-        drawn = Drawn(Stored([], 0), None, self._all, lists, self._planes)
-        weights = splatting.moments(drawn, lens, (cotangent, None, None))
+        weights = self._kernel.splatting.moments(whole, self._lens, (cotangent, None, None))
         return read_floats(weights[:, [_RED, _GREEN]].T)
+
+    def _refreshed(self) -> Drawn:
+        """The whole scene, drawn unless the picture shows it already."""
+        if self._whole is None:
+            splatting = self._kernel.splatting
+            lists = splatting.lists(self._all, self._lens, None, None)
+            splatting.composite(self._all, self._lens, lists, self._planes)
+            self._travelled = None
+            self._tiles.stale.zero_()
+            self._whole = Drawn(Stored([], 0), None, self._all, lists, self._planes)
+        return self._whole
 
     def detach(self, rows: RowArray) -> None:
         if self._rows is not None:
@@ -111,7 +123,7 @@ class CudaFixedView:
         splatting.project(stored, lens, where, self._all)
         lists = splatting.lists(self._all, lens, where, self._tiles)
         splatting.composite(self._all, lens, lists, self._planes, self._tiles)
-        self._travelled = self._gradient = None
+        self._travelled = self._gradient = self._whole = None
         self._drawn = Drawn(stored, where, self._all, lists, self._planes)
 
     def loss(
@@ -123,13 +135,8 @@ class CudaFixedView:
         l1_weight: FloatArray | None = None,
         focus: FloatArray | None = None,
     ) -> LossValue:
-        given = (target, l1_weight, focus)
-        if any(a is not b for a, b in zip(given, self._given, strict=True)):
-            self._given = given
-            self._uploaded = [None if a is None else self._kernel.upload(a) for a in given]
-        value, self._gradient = self._kernel.compare(
-            self._planes.rgb, self._uploaded, self._tiles.met, l1_scale, ssim_scale
-        )
+        given = self._kernel.brought(target, l1_weight, focus)
+        value, self._gradient = self._kernel.compare(self._planes.rgb, given, self._tiles.met, l1_scale, ssim_scale)
         return value
 
     def backward(
@@ -147,18 +154,17 @@ class CudaFixedView:
         return found if out is None else found.put_into(out)
 
     def commit(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
-        kernel, asked, rows = self._kernel, rows, checked_rows(rows, len(scene))
-        renumbered = check_renumbered(renumbered, self._detached, len(scene))
-        before, self._all = self._all, blank(len(scene), kernel.device)
-        if renumbered is None:
-            kept = min(len(before), len(scene))
-            self._all[:kept] = before[:kept]
+        checked_rows(rows, len(scene))
+        check_renumbered(renumbered, self._detached, len(scene))
+        splatting, new = self._kernel.splatting, self._kernel.committed(scene, rows, renumbered)
+        before, self._all = self._all, blank(len(scene), self._kernel.device)
+        if new.kept is None:
+            count = min(len(before), len(scene))
+            self._all[:count] = before[:count]
         else:
-            stays = np.flatnonzero(renumbered >= 0)
-            self._all.index_copy_(0, kernel.upload(renumbered[stays]), before[kernel.upload(stays)])
-        where = kernel.upload(rows)
-        kernel.splatting.project(kernel.part(scene, asked), self._lens, where, self._all)
-        kernel.splatting.mark_met(self._all, where, self._lens, self._tiles.stale)
+            self._all.index_copy_(0, new.kept[1], before[new.kept[0]])
+        splatting.project(new.stored, self._lens, new.rows, self._all)
+        splatting.mark_met(self._all, new.rows, self._lens, self._tiles.stale)
         self._detached = np.zeros(len(scene), np.bool_)
         self._forget()
 
@@ -172,7 +178,7 @@ class CudaFixedView:
 
     def _forget(self) -> None:
         """What belongs to the frame before."""
-        self._drawn, self._gradient, self._given, self._uploaded = None, None, (None, None, None), []
+        self._drawn = self._gradient = self._whole = None
         self._rows: RowArray | None = None
         self._where = torch.zeros(0, dtype=torch.int64, device=self._kernel.device)  # the same rows on the device
         self._changing: Tensor | None = None  # the same as a mark for each Gaussian
