@@ -29,7 +29,7 @@ def side_by_side(threads: int) -> Iterator[Each]:
 
     OpenCV's own threads are off meanwhile: they would only get in the way, and its flow depends on how many there are.
     """
-    own_threads, pool = cv2.getNumThreads(), _POOLS.of(threads or processor_count())
+    pool = _POOLS.of(threads or processor_count())
     begun: list[Future[Any]] = []
 
     def each(work: Callable[..., R], /, *views: Iterable[object]) -> Iterator[R]:
@@ -37,16 +37,40 @@ def side_by_side(threads: int) -> Iterator[Each]:
         begun.extend(futures)
         return (future.result() for future in futures)
 
-    cv2.setNumThreads(1)
-    try:
-        yield each
-    except BaseException:
-        for future in begun:
-            future.cancel()
-        raise
-    finally:
-        wait(begun)
-        cv2.setNumThreads(own_threads)
+    with _OPENCVS_THREADS.off():
+        try:
+            yield each
+        except BaseException:
+            for future in begun:
+                future.cancel()
+            raise
+        finally:
+            wait(begun)
+
+
+class _OpenCvsThreads:
+    """OpenCV's own, which are off as long as anybody works side by side."""
+
+    def __init__(self) -> None:
+        self._lock, self._working, self._own = threading.Lock(), 0, 0
+
+    @contextmanager
+    def off(self) -> Iterator[None]:
+        with self._lock:
+            self._working += 1
+            if self._working == 1:
+                self._own = cv2.getNumThreads()
+                cv2.setNumThreads(1)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._working -= 1
+                if not self._working:
+                    cv2.setNumThreads(self._own)
+
+
+_OPENCVS_THREADS = _OpenCvsThreads()
 
 
 class _Pools(threading.local):
@@ -65,15 +89,31 @@ class _Pools(threading.local):
 _POOLS = _Pools()
 
 
-def ahead(items: Iterable[R]) -> Iterator[R]:
+class Ahead(Iterator[R]):
     """The items in their order, each made on a thread of its own while the one before it is worked on."""
-    coming = iter(items)
-    maker = ThreadPoolExecutor(1)
-    try:
-        after = maker.submit(list, islice(coming, 1))
-        while now := after.result():
-            after = maker.submit(list, islice(coming, 1))
-            yield now[0]
-    finally:
+
+    def __init__(self, items: Iterable[R]) -> None:
+        self._coming, self._maker = iter(items), ThreadPoolExecutor(1)
+        self._after = self._next()
+
+    def __next__(self) -> R:
+        now = self._after.result()
+        if not now:
+            self.close()
+            raise StopIteration
+        self._after = self._next()
+        return now[0]
+
+    def peek(self) -> list[R]:
+        """The next item, waited for; none after the last."""
+        return self._after.result()
+
+    def close(self) -> None:
+        """Makes no more."""
         # Without waiting: the garbage collector may close this while it holds the lock that joining a thread takes.
-        maker.shutdown(wait=False, cancel_futures=True)
+        self._maker.shutdown(wait=False, cancel_futures=True)
+
+    __del__ = close
+
+    def _next(self) -> Future[list[R]]:
+        return self._maker.submit(list, islice(self._coming, 1))

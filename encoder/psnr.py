@@ -8,7 +8,7 @@ import numpy as np
 
 from decogs.formats.splats import FloatArray, Splats
 
-from .backends import TrainingKernel
+from .backends import FixedView, TrainingKernel
 from .input.ingest import View
 from .parallel import side_by_side
 
@@ -42,6 +42,18 @@ def _picture_psnr(view: View, rendered: FloatArray, picture: FloatArray) -> floa
     if view.valid is not None:
         square = square * view.valid
     return psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view))))
+
+
+def mean_shown_psnr(
+    shown: Sequence[FixedView], views: Sequence[View], pictures: Sequence[FloatArray], *, threads: int = 1
+) -> float:
+    """`mean_picture_psnr` of what fixed views show."""
+
+    def psnr(fixed: FixedView, view: View, picture: FloatArray) -> float:
+        return psnr_of(fixed.squared_error(picture, view.valid) / (3 * float(_size(view))))
+
+    with side_by_side(threads) as each:
+        return float(np.mean(list(each(psnr, shown, views, pictures))))
 
 
 def _size(view: View) -> float:

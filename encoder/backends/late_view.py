@@ -104,6 +104,9 @@ class LateView:
         self._scene, self._shown = scene, _moved(scene, self._late * motion)
         self._view.commit(self._shown, np.union1d(rows, new[stale]), renumbered)
 
+    def squared_error(self, picture: FloatArray, counted: FloatArray | None = None) -> float:
+        return self._view.squared_error(picture, counted)
+
     def centres(self) -> FloatArray:
         return self._view.centres()
 

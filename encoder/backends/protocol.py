@@ -243,6 +243,12 @@ class FixedView(Protocol):
         -1 for one that is gone, which must have been detached; None when all kept theirs.
         """
 
+    def squared_error(self, picture: FloatArray, counted: FloatArray | None = None) -> float:
+        """Sum of the squared differences of this view's picture, clipped to 0..1, from ``picture`` (3, H, W).
+
+        ``counted`` (H, W) weighs the pixels. May be asked on any thread.
+        """
+
     def centres(self) -> FloatArray:
         """Projected centres (N, 2) of the static scene, in pixels; NaN where a Gaussian is not drawn."""
 
@@ -256,6 +262,8 @@ class TrainingKernel(Protocol):
     """
 
     background: Colour
+    leaves_processor_idle: bool
+    """Whether the processor can do other work while it trains."""
 
     def forward(
         self,

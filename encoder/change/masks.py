@@ -165,14 +165,23 @@ class MaskMemory:
 
     @classmethod
     def begin(
-        cls, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray] | None = None, *, subject: bool = False
+        cls,
+        pictures: Sequence[FloatArray],
+        rendered: Sequence[FloatArray] | None = None,
+        *,
+        subject: bool = False,
+        threads: int = 1,
     ) -> MaskMemory:
         """After a scene's first frame; ``rendered``: its renderings, None for a method that needs no masks."""
+        errors = None
+        if rendered is not None:
+            with side_by_side(threads) as each:
+                errors = list(each(_trained_error, pictures, rendered))
         return cls(
             references=tuple(pictures),
             previous=tuple(pictures),
             blank=[bool(blankness(picture)) for picture in pictures],
-            trained_errors=None if rendered is None else list(map(_trained_error, pictures, rendered)),
+            trained_errors=errors,
             subject=subject,
         )
 

@@ -27,10 +27,11 @@ from ..keyframe.first_frame import FirstFrame, train_first_frame
 from ..output.reports import OnKeyframeStep
 from ..stopwatch import Stopwatch
 from ..training.method import TrainedFrame
-from .commit import Outcome, commit
+from .commit import Outcome, commit, look_ahead
 from .context import Context
 from .cross_fade import CrossFade, cross_fade
 from .events import Event, Kind, PendingFrame, what_happened
+from .first_look import Upcoming
 from .memory import Memory, new_memory, restart_at_segment
 from .plan import FramePlan, Selection, find_selection, plan_frame
 from .train import train_frame
@@ -49,6 +50,7 @@ class Task:
     """A frame to encode, as ``recorded``; ``packet``: what an earlier encode made of it, instead of training.
 
     ``following``: the closed segment that it is faded towards, if any. ``on_step`` follows the training of a keyframe.
+    ``upcoming``: the next frame, to be looked at meanwhile.
     """
 
     recorded: RigFrame
@@ -56,6 +58,7 @@ class Task:
     following: Following | None = None
     on_step: OnKeyframeStep | None = None
     watch: Stopwatch = field(default_factory=Stopwatch)
+    upcoming: Upcoming | None = None
 
 
 @dataclass(frozen=True)
@@ -120,13 +123,15 @@ def encode_change(context: Context, event: Event, frame: PendingFrame, task: Tas
     selection = find_selection(context, event, frame, watch)
     fade = None if task.following is None else task.following.fade(frame.recorded.index, event.scene)
     plan = plan_frame(context, event, selection, frame, fade, watch)
+    looking = None
     if packet is None:
+        looking = None if task.upcoming is None else look_ahead(context, event, plan, frame, task.upcoming)
         written, scene, trained = _train_and_code(context, event, plan, frame, fade, watch)
     else:
         written, _ = read_back(packet, event.scene.header)
         scene = event.scene.after(packet)
         plan, trained = _replay(context, event.scene, scene, plan, packet)
-    memory, outcome = commit(context, event, plan, frame, scene, trained, watch)
+    memory, outcome = commit(context, event, plan, frame, scene, trained, watch, looking)
     if memory.rate is not None:
         memory = replace(memory, rate=memory.rate.after(written.packet.kind, written.packet.size))
     return Encoded(written, scene, memory, outcome, frame.compensated)

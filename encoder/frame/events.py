@@ -72,9 +72,13 @@ def what_happened(context: Context, scene: Scene, memory: Memory, frame: Pending
         scene, memory, is_return = _after_flash(scene, memory, frame, context)
         if not settings.frame_effects:
             return Event(Kind.NOTHING, scene, memory, [], is_return)
-        changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads, lost=lost)
+        look = memory.first_look(frame.pictures)
+        if look is not None and not lost:
+            changes = look.changes
+        else:
+            changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads, lost=lost)
         kind = Kind.CHANGE
-        if is_missed(memory.masks, frame.pictures, context.views.pictures(scene.splats), changes):
+        if is_missed(memory.masks, frame.pictures, lambda: context.views.pictures(scene.splats), changes):
             kind = Kind.EVERYTHING
         elif changes_most(changes):
             if _is_cut(context, memory, frame, changes):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from decogs.codec.state import State
+from decogs.formats.splats import FloatArray
 
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl
@@ -17,6 +19,7 @@ from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion
 from .context import Context
+from .first_look import FirstLook, Looking
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,8 @@ class Memory:
     """What a frame hands to the next.
 
     ``first``: the stream's first frame, compensated, to which closed segments return; None in other streams. ``rate``
-    and ``time`` keep to budgets, where there are some. ``stage``: the scene's, if it is one.
+    and ``time`` keep to budgets, where there are some. ``stage``: the scene's, if it is one. ``looking``: at the next
+    frame.
     """
 
     trainer: FrameTrainer
@@ -46,6 +50,12 @@ class Memory:
     stage: Stage | None = None
     before_flash: BeforeFlash | None = None
     first: RigFrame | None = None
+    looking: Looking | None = None
+
+    def first_look(self, pictures: Sequence[FloatArray]) -> FirstLook | None:
+        """The look that was taken of the frame with these ``pictures``, if one was, and if this is what preceded it."""
+        look = None if self.looking is None else self.looking.taken()
+        return look if look is not None and look.is_of(self.masks, pictures) else None
 
 
 def new_memory(
@@ -74,7 +84,7 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(frame.training, rendered, subject=bool(frame.alpha)),
+        MaskMemory.begin(frame.training, rendered, subject=bool(frame.alpha), threads=context.threads),
         Motion.at_rest(len(scene.state)),
         corrections,
         None if budget is None else RateControl(budget, settings.segment),

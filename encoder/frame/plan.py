@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..analysis.enabled import enabled_effects
+from ..analysis.moving_regions import moving_regions
 from ..backends import FixedView
 from ..change.flashes import changes_most
 from ..change.masks import FrameMask, full_masks, usable_views
@@ -79,9 +80,13 @@ def find_selection(context: Context, event: Event, frame: PendingFrame, watch: S
     if event.kind is Kind.NOTHING:
         return Selection([], np.zeros(population, bool))
     with watch.stage("masks"):
-        masks = event.memory.masks.masks(
-            frame.pictures, event.changes, context.settings.frame.masks, threads=context.threads
-        )
+        look = event.memory.first_look(frame.pictures)
+        if look is not None and look.changes is event.changes:
+            masks = look.masks
+        else:
+            masks = event.memory.masks.masks(
+                frame.pictures, event.changes, context.settings.frame.masks, threads=context.threads
+            )
     if not any(mask.dilated.any() for mask in masks):
         return Selection(masks, np.zeros(population, bool))
     with watch.stage("selection"):
@@ -107,9 +112,13 @@ def plan_frame(
         selection = replace(selection, selected=np.ones(len(selection.selected), bool))
     if effects and settings.detect_per_frame and selection.masks and not relit:
         with watch.stage("effects"):
-            found = enabled_effects(
-                settings, frame.pictures, memory.masks.references, selection.masks, threads=context.threads
-            )
+            look = memory.first_look(frame.pictures)
+            if look is not None and look.masks is selection.masks:
+                moving = look.moving
+            else:
+                references = memory.masks.references
+                moving = moving_regions(frame.pictures, references, selection.masks, threads=context.threads)
+            found = enabled_effects(settings, moving)
             effects, settings = found.effects, found.settings
             if found.moving is None:
                 relit = _is_missed(context, event.scene, selection, frame)

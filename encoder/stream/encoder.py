@@ -17,6 +17,7 @@ from decogs.formats.splats import sh_degree_of
 from ..coding.stream_header import stream_header
 from ..frame.context import Context
 from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame, train_keyframe
+from ..frame.first_look import Upcoming
 from ..frame.next_segment import NextSegment, train_next_segment, with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
@@ -27,7 +28,7 @@ from ..keyframe.import_splats import import_splats
 from ..output.reports import FrameReport
 from ..output.resume import Interrupted
 from ..output.stream_output import StreamOutput
-from ..parallel import ahead
+from ..parallel import Ahead
 from ..stopwatch import Stopwatch
 from .frame_report import FrameReporter
 from .options import RunOptions
@@ -62,6 +63,7 @@ class StreamEncoder:
         self._next: NextSegment | None = None
         self._reporter = FrameReporter(context, options.on_warning)
         self._has_cut = False
+        self._upcoming: Upcoming | None = None
 
     def check_header(self, first: int) -> None:
         """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
@@ -75,7 +77,10 @@ class StreamEncoder:
     def encode(self, frames: Iterable[RigFrame], first: int, earlier: Earlier) -> Iterator[FrameReport]:
         """Encodes ``frames`` of a take that begins with the rig's frame ``first``; ``earlier`` ones are replayed."""
         written = iter(earlier.packets)
-        read = ahead(frames) if self._options.read_ahead and self._context.threads > 1 else frames
+        read: Iterable[RigFrame] = frames
+        if self._options.read_ahead and self._context.threads > 1:
+            read = coming = Ahead(frames)
+            self._upcoming = coming.peek if self._context.kernel.leaves_processor_idle else None
         for place, (frame, following) in enumerate(with_following(read, first, self._context.settings)):
             packet = next(written, None)
             if packet is not None:
@@ -104,7 +109,7 @@ class StreamEncoder:
         segment = self._next_segment([frame, *following], last, watch)
         coded = segment.first if segment is not None and segment.start == frame.index else None
         packet = None if coded is None else coded.written.packet
-        task = Task(frame, packet, segment, self._options.on_keyframe_step, watch)
+        task = Task(frame, packet, segment, self._options.on_keyframe_step, watch, self._upcoming)
         encoded = encode_frame(self._context, last.scene, last.memory, task)
         if coded is not None:
             encoded = replace(encoded, outcome=replace(encoded.outcome, rejected=coded.outcome.rejected))

@@ -16,7 +16,7 @@ from ..frame.encode_frame import Encoded
 from ..input.ingest import display_referred
 from ..output.footage import matches, warning_of
 from ..output.reports import FrameReport
-from ..psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
+from ..psnr import mean_picture_psnr, mean_psnr, mean_shown_psnr, psnr_of, square_error
 from ..stopwatch import Stopwatch
 
 _STAGE = "measure"
@@ -87,9 +87,11 @@ class FrameReporter:
 
     def _training_psnr(self, encoded: Encoded) -> float:
         used, views = self._used(encoded), self._context.ingest.views
-        pictures = [encoded.pictures.training[i] for i in used]
-        rendered = self._rendered(encoded, used)
-        return mean_picture_psnr([views[i] for i in used], rendered, pictures, threads=self._context.threads)
+        chosen, pictures = [views[i] for i in used], [encoded.pictures.training[i] for i in used]
+        if not self._context.method.dense:
+            fixed = self._context.views.of(encoded.scene.splats)
+            return mean_shown_psnr([fixed[i] for i in used], chosen, pictures, threads=self._context.threads)
+        return mean_picture_psnr(chosen, self._rendered(encoded, used), pictures, threads=self._context.threads)
 
     def _held_out_psnr(self, encoded: Encoded) -> float | None:
         """PSNR of the held-out views with a picture; of a subject alone, of those with a matte; None without one."""

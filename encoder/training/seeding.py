@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeVar
 
 import cv2
@@ -60,7 +60,7 @@ _SIGMA_PER_SPACING = 0.6
 _MIN_ALPHA = np.float32(1e-6)
 """Alpha of a ray that meets nothing: keeps its depth at 0."""
 _BATCH_RAYS = 500
-"""Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
+"""Rays per batch, at least, if there are as many: enough for numpy to dominate Python's overhead; batches are parallel."""
 _BLOCK_SIDE_PIXELS = 64
 """Side of a block of pixels that is smoothed at once."""
 _MARGIN_PIXELS = 2
@@ -82,6 +82,15 @@ class SearchView:
     depth: FloatArray
     focus: BoolArray
 
+    @cached_property
+    def missed(self) -> FloatArray:
+        """By how much the rendering misses a pixel of the focus, (H, W), in its worst colour; 0 elsewhere."""
+        missed = np.zeros(self.focus.shape, np.float32)
+        for rendered, picture in zip(self.rendered, self.picture, strict=True):
+            cv2.max(missed, cv2.absdiff(rendered, picture), dst=missed)
+        missed[~self.focus] = 0
+        return missed
+
     def surface(self, pixels: IntArray | slice) -> FloatArray:
         """Mean depth along the rays of flat pixels, 0 for none."""
         return np.asarray(self.depth.ravel()[pixels] / np.maximum(self.alpha.ravel()[pixels], _MIN_ALPHA))
@@ -89,10 +98,7 @@ class SearchView:
 
 def missed_pixels(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
     """Pixels (H, W) of the focus where rendering and picture clearly differ, without edges one pixel wide."""
-    focus = np.flatnonzero(view.focus)
-    rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (view.rendered, view.picture))
-    wrong = np.zeros(view.focus.shape, bool)
-    wrong.reshape(-1)[focus] = np.abs(rendered - picture).max(axis=0) > np.float32(levels / 255)
+    wrong = view.missed > np.float32(levels / 255)
     return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
@@ -119,7 +125,7 @@ def find_seeds(
     step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
     with side_by_side(threads) as each:
         search = _Search(views, cores, each)
-        found = list(each(search.along_rays, search.rays(step)))
+        found = list(each(search.along_rays, search.rays(step, each)))
     if not found:
         return empty_splats(sh_degree)
     return _splats(_thin(_confirm(_join(found), step), settings.max_seeds), cores, sh_degree)
@@ -233,15 +239,20 @@ class _Search:
         self._wide = list(each(_widen, views, cores))
         self._smooth = [_Smoothed(view.camera, partial(_picture, view)) for view in views]
         self._change = [_Smoothed(view.camera, partial(_difference, view)) for view in views]
-        depths = np.concatenate([view.surface(slice(None, None, 17)) for view in views])
+        depths = np.concatenate(list(each(lambda view: view.surface(slice(None, None, 17)), views)))
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
         self._inverse = np.linspace(1 / (_NEAREST_DEPTH_SHARE * near), 1 / far, _RAY_DEPTHS)
 
-    def rays(self, step: int) -> list[_Rays]:
-        """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _BATCH_RAYS."""
-        views, cores = enumerate(self._views), self._cores
-        joined = _join([self._rays_of(i, view, np.flatnonzero(cores[i])[i % step :: step]) for i, view in views])
-        return [_take(joined, slice(at, at + _BATCH_RAYS)) for at in range(0, len(joined.pixels), _BATCH_RAYS)]
+    def rays(self, step: int, each: Each) -> list[_Rays]:
+        """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of some _BATCH_RAYS."""
+
+        def of_view(index: int) -> _Rays:
+            return self._rays_of(index, self._views[index], np.flatnonzero(self._cores[index])[index % step :: step])
+
+        joined = _join(list(each(of_view, range(len(self._views)))))
+        count = len(joined.pixels)
+        size = -(-count // max(1, count // _BATCH_RAYS))
+        return [_take(joined, slice(at, at + size)) for at in range(0, count, max(1, size))]
 
     def _rays_of(self, index: int, view: SearchView, pixels: IntArray) -> _Rays:
         return _Rays(

@@ -109,8 +109,8 @@ def test_where_memory_is_tight_nothing_is_read_ahead_and_the_stream_is_the_same(
     with pytest.raises(UsageError, match=r"`max_memory`: 5 cameras of up to 64x48 and 1200 Gaussians may need \d+M, m"):
         memory_within(ingest, tiny_settings, tight.size - 1, **given)
 
-    used, ahead = [], stream_encoder.ahead
-    monkeypatch.setattr(stream_encoder, "ahead", lambda frames: used.append(1) or ahead(frames))
+    used, ahead = [], stream_encoder.Ahead
+    monkeypatch.setattr(stream_encoder, "Ahead", lambda frames: used.append(1) or ahead(frames))
     for name, limit, expected in (("ample", ample.size, 1), ("tight", tight.size, 0)):
         used.clear()
         encode_rig(moving_rig, tmp_path / name, tiny_settings, threads=2, max_memory=limit)
@@ -123,8 +123,8 @@ def test_a_part_keeps_to_the_limit_as_well(
 ) -> None:
     closed = replace(tiny_settings, segment=2, closed=True)
     ample = memory_within(Ingest(open_rig(moving_rig)), closed, None, gaussians=0, frames=4, threads=2)
-    used, ahead = [], stream_encoder.ahead
-    monkeypatch.setattr(stream_encoder, "ahead", lambda frames: used.append(1) or ahead(frames))
+    used, ahead = [], stream_encoder.Ahead
+    monkeypatch.setattr(stream_encoder, "Ahead", lambda frames: used.append(1) or ahead(frames))
     for name, limit, expected in (("ample", ample.size, 1), ("tight", ample.size - 1, 0)):
         used.clear()
         given = {"only": slice(0, 2), "segment": 2, "closed": True, "threads": 2}

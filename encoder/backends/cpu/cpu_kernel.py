@@ -46,6 +46,7 @@ class CpuKernel:
     """``TrainingKernel`` with its thread pool and buffers; results do not depend on the number of threads."""
 
     _cotangent: FloatArray | None
+    leaves_processor_idle = False
 
     def __init__(self, threads: int = 0, background: Colour = BLACK) -> None:
         self.background = background

@@ -171,6 +171,12 @@ class CpuFixedView:
         self._check(status)
         self._detached = np.zeros(len(scene), np.bool_)
 
+    def squared_error(self, picture: FloatArray, counted: FloatArray | None = None) -> float:
+        square = (np.clip(self._rgb, 0, 1) - picture) ** 2
+        if counted is not None:
+            square = square * counted
+        return float(square.sum(dtype=np.float64))
+
     def centres(self) -> FloatArray:
         centres = np.empty((len(self._loaded()), 2), np.float32)
         self._library.decogs_view_centres(self._handle, len(centres), address(centres))

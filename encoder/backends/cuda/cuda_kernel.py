@@ -56,6 +56,8 @@ class DevicePicture:
 class CudaKernel:
     """``TrainingKernel`` on a torch ``device``, by its ``kernels``; the tests run this class on the processor."""
 
+    leaves_processor_idle = True
+
     def __init__(self, background: Colour = BLACK, *, device: str = "cuda", kernels: Kernels | None = None) -> None:
         self.background = background
         self.device = torch.device(device)

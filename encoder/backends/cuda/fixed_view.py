@@ -22,13 +22,10 @@ from ..arguments import check_cotangents, check_marks, rows_of
 from ..protocol import Drawable, LossValue, SplatGradients
 from .device import read, read_floats
 from .gradients import DeviceGradients
-from .splatting import Drawn, Lens, Planes, Stored, TilesToDraw, blank, centres, hide
+from .splatting import Drawn, Lens, Lists, Planes, Stored, TilesToDraw, blank, centres, hide
 
 if TYPE_CHECKING:
     from .cuda_kernel import CudaKernel
-
-_RED, _GREEN = 6, 7
-"""Among the moments of a Gaussian (cpu/kernel/backward_projection.h)."""
 
 
 class Committed(NamedTuple):
@@ -44,7 +41,7 @@ class CudaFixedView:
 
     _drawn: Drawn | None
     _gradient: Tensor | None
-    _whole: Drawn | None
+    _whole: Lists | None
 
     def __init__(self, kernel: CudaKernel, camera: Camera) -> None:
         self._kernel, self.camera = kernel, camera
@@ -84,25 +81,18 @@ class CudaFixedView:
         self._refreshed()
 
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
-        """A Gaussian's weight is the moment of its red for a cotangent of 1 everywhere, of its green for the marks."""
         check_marks(marks, self.camera)
-        whole = self._refreshed()
-        cotangent = torch.zeros_like(self._planes.rgb)
-        cotangent[0] = 1
-        if marks is not None:
-            cotangent[1] = self._kernel.upload(marks)
-        weights = self._kernel.splatting.moments(whole, self._lens, (cotangent, None, None))
-        return read_floats(weights[:, [_RED, _GREEN]].T)
+        on_device, lists = None if marks is None else self._kernel.upload(marks), self._refreshed()
+        return read_floats(self._kernel.splatting.weights(self._all, self._lens, lists, on_device).T)
 
-    def _refreshed(self) -> Drawn:
-        """The whole scene, drawn unless the picture shows it already."""
+    def _refreshed(self) -> Lists:
+        """The lists of the whole scene, drawn unless the picture shows it already."""
         if self._whole is None:
             splatting = self._kernel.splatting
-            lists = splatting.lists(self._all, self._lens, None, None)
-            splatting.composite(self._all, self._lens, lists, self._planes)
+            self._whole = splatting.lists(self._all, self._lens, None, None)
+            splatting.composite(self._all, self._lens, self._whole, self._planes)
             self._travelled = None
             self._tiles.stale.zero_()
-            self._whole = Drawn(Stored([], 0), None, self._all, lists, self._planes)
         return self._whole
 
     def detach(self, rows: RowArray) -> None:
@@ -167,6 +157,16 @@ class CudaFixedView:
         splatting.mark_met(self._all, new.rows, self._lens, self._tiles.stale)
         self._detached = np.zeros(len(scene), np.bool_)
         self._forget()
+
+    def squared_error(self, picture: FloatArray, counted: FloatArray | None = None) -> float:
+        there, weights = self._kernel.brought(picture, counted)
+        assert there is not None
+        square = (self._planes.rgb.clamp(0, 1) - there) ** 2
+        if weights is not None:
+            square = square * weights
+        total = float(read(square.sum(dtype=torch.float64)))
+        self._lens.room.check(self.camera)
+        return total
 
     def centres(self) -> FloatArray:
         return read_floats(centres(self._all)[0])

@@ -21,6 +21,7 @@ import decogs.decoder.rasterise
 
 THREADS = 256
 """Of a block (kernel/splatting.cu)."""
+_LIBRARY = str(Path(torch.__file__).parent / "lib" / "libcaffe2_nvrtc.so")
 
 
 class Kernels(Protocol):
@@ -78,8 +79,7 @@ class CompiledKernels:
         pointers = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
         x, y, z = (*blocks, 1, 1)[:3]
         stream = ctypes.c_void_p(torch.cuda.current_stream(self._device).cuda_stream)
-        launch = self._library.cuLaunchKernel
-        _check(launch(function, x, y, z, THREADS, 1, 1, 0, stream, pointers, None), f"starting {name}")
+        _check(_launch()(function, x, y, z, THREADS, 1, 1, 0, stream, pointers, None), f"starting {name}")
 
     def _function(self, name: str) -> Any:
         if self._module is None:
@@ -95,11 +95,15 @@ class CompiledKernels:
 @lru_cache(maxsize=1)
 def _cuda_library() -> Any:
     """NVRTC and the driver: the library through which torch finds both has their functions, too."""
-    library = ctypes.CDLL(str(Path(torch.__file__).parent / "lib" / "libcaffe2_nvrtc.so"))
-    library.cuLaunchKernel.argtypes = [
-        ctypes.c_void_p, *[ctypes.c_uint] * 7, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p,
-    ]  # fmt: skip
-    return library
+    return ctypes.CDLL(_LIBRARY)
+
+
+@lru_cache(maxsize=1)
+def _launch() -> Any:
+    """The driver's function; other threads wait for the microseconds that it takes, and a step does not for them."""
+    launch = ctypes.PyDLL(_LIBRARY).cuLaunchKernel
+    launch.argtypes = [ctypes.c_void_p, *[ctypes.c_uint] * 7, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    return launch
 
 
 def _compiled(nvrtc: Any, architecture: str) -> bytes:

@@ -237,14 +237,27 @@ class Splatting:
         tiles: TilesToDraw | None = None,
     ) -> Tensor:
         """Sums (M, 12) over the pixels for the Gaussians of ``drawn``, for cotangents of colours, alpha and depth."""
-        count = len(drawn.all) if drawn.rows is None else len(drawn.rows)
-        lists, totals = drawn.lists.native(), torch.empty((count, _MOMENTS), device=self._device)
+        lists = drawn.lists.native()
         moments = torch.empty((len(drawn.lists.gaussians), _MOMENTS), device=self._device)
         met = None if tiles is None else tiles.met
         arguments = (drawn.all, lists, met, changing, drawn.planes.native(), _Cotangents.to(*by), moments)
         self.kernels.launch("backward", (lens.tiles,), lens.native, lens.grid, *arguments)
+        return self._gathered(lens, drawn.lists, moments, drawn.rows, len(drawn.stored))
+
+    def weights(self, projected: Tensor, lens: Lens, lists: Lists, marks: Tensor | None) -> Tensor:
+        """Every Gaussian's rendering weight, over all pixels and over ``marks``, (N, 2)."""
+        weights = torch.empty((len(lists.gaussians), 2), device=self._device)
+        arguments = (lens.native, lens.grid, projected, lists.native(), marks, weights)
+        self.kernels.launch("weigh", (lens.tiles,), *arguments)
+        return self._gathered(lens, lists, weights, None, len(projected))
+
+    def _gathered(self, lens: Lens, lists: Lists, values: Tensor, rows: Tensor | None, count: int) -> Tensor:
+        """What the pairs of Gaussians have, summed."""
+        numbers = values.shape[1]
+        totals = torch.empty((count, numbers), device=self._device)
         if count:
-            self.kernels.launch("gather", _blocks(16 * count), drawn.rows, count, lens.tiles, lists, moments, totals)
+            arguments = (lists.native(), values, numbers, totals)
+            self.kernels.launch("gather", _blocks(16 * count), rows, count, lens.tiles, *arguments)
         return totals
 
     def gradients(self, drawn: Drawn, lens: Lens, moments: Tensor) -> DeviceGradients:

@@ -56,7 +56,7 @@ DECOGS_INLINE int64_t shorter(int64_t a, int64_t b) { return a < b ? a : b; }
 DECOGS_INLINE Range entries_of(const Lists& lists, int tile) {
     return {shorter(tile ? lists.ends[tile - 1] : 0, lists.capacity), shorter(lists.ends[tile], lists.capacity)};
 }
-DECOGS_INLINE Range pairs_of(const Lists& lists, int tiles, int64_t gaussian) {
+DECOGS_INLINE Range pairs_of(const Lists& lists, int64_t tiles, int64_t gaussian) {
     const int64_t total = lists.ends[tiles - 1], at = tiles + gaussian;
     return {shorter(lists.ends[at - 1] - total, lists.capacity), shorter(lists.ends[at] - total, lists.capacity)};
 }
@@ -357,17 +357,70 @@ extern "C" __global__ void __launch_bounds__(kThreads) backward(Camera camera, G
     }
 }
 
-constexpr int kGathering = 16;  // threads of a Gaussian, one for each moment
+constexpr int kWeights = 2;
 
-// Sums the moments of the pairs of Gaussians `rows` (null: all), in the order of the pairs.
-extern "C" __global__ void gather(const int64_t* rows, int64_t count, int tiles, Lists lists, const float* moments, float* totals) {
+// Each pair's rendering weight, the sum of alpha T over the tile's pixels, and over those that are marked (null: none).
+extern "C" __global__ void __launch_bounds__(kThreads)
+    weigh(Camera camera, Grid grid, const Projected* all, Lists lists, const uint8_t* marks, float* weights) {
+    __shared__ Projected batch[kThreads];
+    __shared__ float sums[kWarps][kThreads][kWeights];
+    const int tile = blockIdx.x, lane = lane_of_warp(), warp = warp_of_block();
+    const Pixel pixel = pixel_of(camera, grid, tile);
+    const Range range = entries_of(lists, tile);
+    const bool marked = pixel.inside && marks && marks[pixel.at], upper = lane >= kWarp / 2;
+    float transmittance = 1.0f;
+    bool live = pixel.inside;
+    for (int64_t base = range.begin; base < range.end; base += kThreads) {
+        const bool some = __syncthreads_or(live);
+        const int size = static_cast<int>(shorter(kThreads, range.end - base));
+        uint32_t pair = 0;
+        if (static_cast<int>(threadIdx.x) < size) {
+            pair = lists.keys[base + threadIdx.x] & kEvery;
+            if (some) batch[threadIdx.x] = all[lists.gaussians[pair]];
+        }
+        for (int w = 0; w < kWarps; ++w) sums[w][threadIdx.x][0] = sums[w][threadIdx.x][1] = 0.0f;
+        __syncthreads();
+        for (int chunk = 0; some && chunk < size && __ballot_sync(kEvery, live); chunk += kWarp)
+            for (unsigned left = overlapping(batch[chunk + lane], chunk + lane < size, pixel); left; left &= left - 1) {
+                const int e = chunk + __ffs(left) - 1;
+                const Projected& g = batch[e];
+                const float dx = pixel.x - g.x, dy = pixel.y - g.y, u = dx * g.p + dy * g.q, v = dy * g.r;
+                const float exponent = u * u + v * v;
+                float weight = 0.0f;
+                if (live && exponent <= g.cut) {
+                    const float alpha = min(exp2_negative(exponent) * g.opacity, kAlphaMax), next = transmittance * (1.0f - alpha);
+                    live = next >= kTransmittanceMin;
+                    if (live) {
+                        weight = alpha * transmittance;
+                        transmittance = next;
+                    }
+                }
+                if (!__ballot_sync(kEvery, weight > 0.0f)) continue;
+                const float in_marks = marked ? weight : 0.0f, given = upper ? weight : in_marks;
+                float sum = (upper ? in_marks : weight) + __shfl_xor_sync(kEvery, given, kWarp / 2);
+                for (int offset = kWarp / 4; offset > 0; offset /= 2) sum += __shfl_xor_sync(kEvery, sum, offset);
+                if (lane % (kWarp / 2) == 0) sums[warp][e][upper] = sum;
+            }
+        __syncthreads();
+        for (int k = 0; k < kWeights && static_cast<int>(threadIdx.x) < size; ++k) {
+            float total = 0.0f;
+            for (int w = 0; w < kWarps; ++w) total += sums[w][threadIdx.x][k];
+            weights[static_cast<int64_t>(pair) * kWeights + k] = total;
+        }
+    }
+}
+
+constexpr int kGathering = 16;  // threads of a Gaussian, one for each of its sums
+
+// Sums what the pairs of Gaussians `rows` (null: all) have, so many numbers each, in the order of the pairs.
+extern "C" __global__ void gather(const int64_t* rows, int64_t count, int64_t tiles, Lists lists, const float* values, int64_t numbers, float* totals) {
     const int64_t i = thread_of_grid() / kGathering;
     const int k = threadIdx.x % kGathering;
-    if (i >= count || k >= kMoments) return;
+    if (i >= count || k >= numbers) return;
     const Range range = pairs_of(lists, tiles, rows ? rows[i] : i);
     float total = 0.0f;
-    for (int64_t pair = range.begin; pair < range.end; ++pair) total += moments[pair * kMoments + k];
-    totals[i * kMoments + k] = total;
+    for (int64_t pair = range.begin; pair < range.end; ++pair) total += values[pair * numbers + k];
+    totals[i * numbers + k] = total;
 }
 
 extern "C" __global__ void backward_project(Scene scene, Camera camera, const int64_t* rows, const Projected* all, const float* totals, Gradients out) {
