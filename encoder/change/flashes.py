@@ -27,6 +27,7 @@ from .masks import (
     PixelChange,
     changed_fraction,
     difference_mask,
+    share,
     usable_views,
 )
 
@@ -41,7 +42,7 @@ MAX_FLASH_FRAMES = 8
 def changes_most(changes: Sequence[PixelChange]) -> bool:
     """Whether nearly everything has changed since it was trained."""
     used = usable_views(changes)
-    return bool(used) and float(np.mean([changes[index].raw.mean() for index in used])) > _MIN_FLASH_FRACTION
+    return bool(used) and float(np.mean([share(changes[index].raw) for index in used])) > _MIN_FLASH_FRACTION
 
 
 def may_be_flash(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSettings) -> bool:

@@ -74,6 +74,11 @@ class FrameMask:
     lost: str = ""
 
 
+def share(mask: BoolArray) -> float:
+    """Of pixels that are marked, 0 to 1; a mean takes twenty times as long."""
+    return np.count_nonzero(mask) / mask.size
+
+
 def usable_views(masks: Sequence[PixelChange | FrameMask]) -> list[int]:
     """The views whose pictures show their frame."""
     return [index for index, mask in enumerate(masks) if not mask.lost]

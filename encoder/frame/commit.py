@@ -102,7 +102,7 @@ def look_ahead(
     def hand_on() -> MaskMemory:
         return _trained_masks(context, event, plan, frame, None)
 
-    return begin_looking(hand_on, upcoming, context.settings, max(1, context.threads // _LOOKING_SHARE))
+    return begin_looking(hand_on, upcoming, context.kernel, context.settings, max(1, context.threads // _LOOKING_SHARE))
 
 
 def _trained_masks(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from decogs.formats.splats import FloatArray
 
 from ..analysis.moving_regions import moving_regions
+from ..backends import TrainingKernel
 from ..change.masks import BoolArray, FrameMask, MaskMemory, PixelChange
 from ..input.ingest import RigFrame
 from ..settings.encode import EncodeSettings
@@ -52,20 +53,27 @@ class Looking:
 
 
 def begin_looking(
-    hand_on: Callable[[], MaskMemory], upcoming: Upcoming, settings: EncodeSettings, threads: int
+    hand_on: Callable[[], MaskMemory],
+    upcoming: Upcoming,
+    kernel: TrainingKernel,
+    settings: EncodeSettings,
+    threads: int,
 ) -> Looking:
-    """Looks at the ``upcoming`` frame, which is compared with what this one hands on."""
+    """Looks at the ``upcoming`` frame, which is compared with what this one hands on and brought to the ``kernel``."""
     worker = ThreadPoolExecutor(1)
     memory = worker.submit(hand_on)
-    look = worker.submit(lambda: _look(memory.result(), upcoming(), settings, threads))
+    look = worker.submit(lambda: _look(memory.result(), upcoming(), kernel, settings, threads))
     worker.shutdown(wait=False)
     return Looking(memory, look)
 
 
-def _look(memory: MaskMemory, coming: Sequence[RigFrame], settings: EncodeSettings, threads: int) -> FirstLook | None:
+def _look(
+    memory: MaskMemory, coming: Sequence[RigFrame], kernel: TrainingKernel, settings: EncodeSettings, threads: int
+) -> FirstLook | None:
     if not coming or coming[0].lost:
         return None
     pictures = coming[0].training
+    kernel.bring(*pictures)
     changes = memory.pixel_changes(pictures, settings.frame.masks, threads)
     masks = memory.masks(pictures, changes, settings.frame.masks, threads)
     moving = moving_regions(pictures, memory.references, masks, threads=threads)
