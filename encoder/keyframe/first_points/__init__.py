@@ -146,18 +146,17 @@ def _first_points(
         )
 
     shared = shared_depths(coarse)
-    samples = list(each(points_within, coarse, shared))
+    samples = [points_within(view, depths) for view, depths in zip(coarse, shared, strict=True)]
     rough, _ = _sweep_all(each, coarse, shared, samples)
     everything = np.concatenate([*(c.xyz for c in rough), given.xyz])
-    own = [found.xyz for found in rough]
-    ranges = list(each(lambda view, xyz, depths: depths_of(view, xyz, everything, depths), fine, own, shared))
-    samples = list(each(lambda view, depths: likely_points(view, everything, depths), fine, ranges))
+    ranges = [depths_of(view, c.xyz, everything, at) for view, c, at in zip(fine, rough, shared, strict=True)]
+    samples = [likely_points(view, everything, depths) for view, depths in zip(fine, ranges, strict=True)]
     candidates, maps = _sweep_all(each, fine, ranges, samples)
-    all_depths = list(each(_view_depths, fine, ranges, candidates, maps))
+    all_depths = [_view_depths(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
 
     stride = max(1, int((sum(len(c) for c in candidates) / (_CANDIDATES_PER_POINT * cap)) ** 0.5))
     clouds = [given, *(thin_candidates(c, stride) for c in candidates)]
-    clouds += each(_where_unconfirmed, coarse, rough, all_depths)
+    clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, all_depths, strict=True)]
     proposed = join(clouds)
     proposed = take(proposed, ~too_near(proposed, all_depths, _HOUSING_DEPTH_FRACTION))
     if within is not None:
