@@ -150,7 +150,7 @@ def test_a_whole_encode_runs_on_it(
         assert ours.training_psnr == pytest.approx(theirs.training_psnr, abs=0.1)
 
 
-def test_the_device_is_chosen_or_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_device_is_chosen_or_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("auto", "cpu"):
         assert isinstance(training_kernel(name, 1), CpuKernel)
     with pytest.raises(UsageError, match="`device` tpu: choose from auto, cpu, cuda"):
@@ -164,4 +164,9 @@ def test_the_device_is_chosen_or_what_is_missing_is_named(monkeypatch: pytest.Mo
     with pytest.raises(UsageError, match=r"`device` cuda: torch .* finds no CUDA device; install"):
         training_kernel("cuda")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch, "__file__", str(tmp_path / "__init__.py"))
+    with pytest.raises(UsageError, match=r"`device` cuda: torch .* brings no compiler for CUDA"):
+        training_kernel("cuda")
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "libcaffe2_nvrtc.so").touch()
     assert cuda.missing() is None

@@ -6,6 +6,8 @@ CUDA's threads, against the native kernel and the float64 twin. Figures of a GPU
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from ..protocol import BLACK, Colour, TrainingKernel
 
 
@@ -22,6 +24,8 @@ def _problem() -> str | None:
         return f"torch cannot be imported ({error})"
     if not torch.cuda.is_available():
         return f"torch {torch.__version__} finds no CUDA device"
+    if not (Path(torch.__file__).parent / "lib" / "libcaffe2_nvrtc.so").exists():
+        return f"torch {torch.__version__} brings no compiler for CUDA"
     return None
 
 

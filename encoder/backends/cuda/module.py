@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 import decogs.decoder.rasterise
+from decogs.formats.errors import UsageError
 
 THREADS = 256
 """Of a block (kernel/splatting.cu)."""
@@ -113,7 +114,8 @@ def _compiled(nvrtc: Any, architecture: str) -> bytes:
     _check(nvrtc.nvrtcCreateProgram(ctypes.byref(program), source, b"splatting.cu", 0, None, None), "compiling kernels")
     if nvrtc.nvrtcCompileProgram(program, len(options), given):
         log = _text_of(program, nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog)
-        raise RuntimeError(f"CUDA's compiler refuses the kernels for {architecture}:\n{log.decode(errors='replace')}")
+        first = next(iter(log.decode(errors="replace").splitlines()), "")
+        raise UsageError(f"`device` cuda: the compiler refuses the kernels for {architecture} ({first}); or use cpu")
     code = _text_of(program, nvrtc.nvrtcGetCUBINSize, nvrtc.nvrtcGetCUBIN)
     nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
     return code
@@ -128,6 +130,6 @@ def _text_of(program: ctypes.c_void_p, size_of: Callable[..., int], write: Calla
 
 
 def _check(status: int, what: str) -> None:
-    """RuntimeError for a status of CUDA's that is not 0."""
+    """UsageError for a status of CUDA's that is not 0."""
     if status:
-        raise RuntimeError(f"CUDA error {status} in {what}")
+        raise UsageError(f"`device` cuda: CUDA's error {status} in {what}; try a newer driver or torch, or use cpu")
