@@ -210,7 +210,7 @@ def _add_machine(group: argparse._ArgumentGroup) -> None:
         "--device",
         default="auto",
         metavar="D",
-        help="auto (default), cpu or cuda (through gsplat); auto is cpu",
+        help="auto (default), cpu or cuda (by torch); auto is cpu",
     )
     group.add_argument(
         "--max-memory",

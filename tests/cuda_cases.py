@@ -1,182 +1,82 @@
-"""A stand-in for gsplat, the CUDA backend on it and on a GPU, and how near both must be to the native kernel.
+"""The CUDA backend on a GPU and on the processor, and how near both must be to the native kernel.
 
-On the CPU the stand-in for gsplat's four functions, brute force in torch, lets everything of ours run. Whatever gsplat
-leaves undefined, it fills with NaN.
+On the processor an emulation of CUDA's threads (cuda_emulation.h) runs the same kernels, compiled as C++.
 """
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
+import os
+import re
+import shutil
+import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
+import pytest
 
 import rasterise_cases as cases
 from decogs.encoder.backends import Gradients
 from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
+from decogs.encoder.backends.cuda.module import THREADS, as_argument, kernel_source
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.formats.geometry.rotations import rotation_matrices
-from decogs.formats.geometry.spherical_harmonics import sh_basis
 from decogs.formats.splats import Splats
 
 RATES = LearningRates(0.01, 0.01, 0.01, 0.01, 0.01, 0.01)
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")
 CAMERA = cases.pinhole(83, 61, 70.0)
 THRESHOLD = 1 / 255
-"""Where alpha is at gsplat's and our threshold, rounding decides whether a contribution of this size is drawn."""
+"""Where alpha is at the threshold, rounding decides whether a contribution of this size is drawn."""
+EMULATION = Path(__file__).with_name("cuda_emulation.h")
+BUILT = Path(__file__).parents[1] / "build" / "emulation"
 
 
-class StandIn:
-    """gsplat's functions as their documentation has them, for one camera, in float64 inside.
+def emulated_source() -> str:
+    """The kernels as C++, and a function that runs one of them by name."""
+    source = kernel_source()
+    names = re.findall(r"__global__ void (?:__launch_bounds__\(kThreads\)\s*)?(\w+)\(", source)
+    calls = "".join(f'if (wanted == "{each}") return launch(decogs::{each}, x, y, z, n, given), 0;\n' for each in names)
+    signature = "int emulate(const char* name, unsigned x, unsigned y, unsigned z, unsigned n, void** given)"
+    run = f'extern "C" {signature} {{ using emulation::launch;\nconst std::string wanted(name);\n{calls}return 1; }}\n'
+    return EMULATION.read_text() + source + run
 
-    ``alpha_max`` is ours, so that differences are not gsplat's; one test takes gsplat's.
-    """
 
-    def __init__(self, alpha_max: float = 0.99) -> None:
-        self.alpha_max = alpha_max
-        self.tiles_drawn = 0
+@lru_cache(maxsize=1)
+def emulation() -> ctypes.CDLL:
+    """Compiled once for these sources; skips the test where there is no g++."""
+    compiler, source = os.environ.get("CXX") or shutil.which("g++"), emulated_source()
+    if not compiler:
+        pytest.skip("no C++ compiler for the emulation of CUDA")
+    library = BUILT / f"{hashlib.sha256(source.encode()).hexdigest()[:16]}.so"
+    if not library.exists():
+        BUILT.mkdir(parents=True, exist_ok=True)
+        growing = library.with_suffix(f".{os.getpid()}")
+        command = [compiler, "-std=c++17", "-O2", "-shared", "-fPIC", "-ffp-contract=off", "-w", "-x", "c++", "-"]
+        subprocess.run([*command, "-o", str(growing)], input=source.encode(), check=True)
+        growing.replace(library)
+    return ctypes.CDLL(str(library))
 
-    def fully_fused_projection(
-        self,
-        means: Tensor,
-        covars: None,
-        quats: Tensor,
-        scales: Tensor,
-        viewmats: Tensor,
-        Ks: Tensor,
-        width: int,
-        height: int,
-        eps2d: float = 0.3,
-        near_plane: float = 0.01,
-        packed: bool = False,
-        calc_compensations: bool = False,
-        opacities: Tensor | None = None,
-    ) -> tuple[Tensor, ...]:
-        count = len(means)
-        assert count > 0, "a division by zero in gsplat 1.5.3, which ends the process"
-        assert covars is None
-        assert calc_compensations
-        assert opacities is not None
-        assert not packed
-        shapes = [tuple(x.shape) for x in (means, quats, scales, viewmats, Ks, opacities)]
-        assert shapes == [(count, 3), (count, 4), (count, 3), (1, 4, 4), (1, 3, 3), (count,)]
-        assert all(x.dtype == torch.float32 for x in (means, quats, scales, viewmats, Ks, opacities))
-        means, quats, scales, pose, lens = (x.double() for x in (means, quats, scales, viewmats[0], Ks[0]))
-        position = means @ pose[:3, :3].T + pose[:3, 3]
-        z = position[:, 2]
-        size, focal, centre = torch.tensor([width, height]), lens.diagonal()[:2], lens[:2, 2]
-        rays = position[:, :2] / z[:, None]
-        held = rays.clamp((-0.15 * size - centre) / focal, (1.15 * size - centre) / focal)
-        slope = torch.cat([torch.diag_embed((1 / z)[:, None] * focal), (-held * focal / z[:, None])[:, :, None]], 2)
-        half = slope @ pose[:3, :3] @ rotation_matrices(quats, torch) * scales[:, None]
-        plain = half @ half.transpose(1, 2)
-        filtered = plain + eps2d * torch.eye(2)
-        compensations = (plain.det() / filtered.det()).clamp(min=0).sqrt()
-        inverse = filtered.inverse()
-        peak = opacities.double() * compensations.detach()
-        reach = (2 * (peak / THRESHOLD).clamp(min=1).log()).sqrt()
-        radii = (reach[:, None] * filtered.diagonal(dim1=1, dim2=2).sqrt()).ceil().detach()
-        means2d = rays * focal + centre
-        drawn = (z >= near_plane) & (peak >= THRESHOLD) & (means2d + radii > 0).all(1) & (means2d - radii < size).all(1)
-        conics = torch.stack([inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1]], 1)
 
-        def left_open(values: Tensor) -> Tensor:
-            kept = drawn if values.ndim == 1 else drawn[:, None]
-            return torch.where(kept, values, torch.nan).float()[None]
+class EmulatedKernels:
+    """``Kernels`` on the processor, whose threads come in their order or ``backwards``."""
 
-        radii = torch.where(drawn[:, None], radii, 0).int()[None]
-        compensations = torch.where(drawn, compensations, 0.0).float()[None]
-        return radii, left_open(means2d), left_open(z), left_open(conics), compensations
+    def __init__(self, *, backwards: bool = False) -> None:
+        self._library, self._backwards = emulation(), backwards
 
-    def spherical_harmonics(self, degrees_to_use: int, dirs: Tensor, coeffs: Tensor) -> Tensor:
-        count = len(dirs)
-        assert dirs.shape == (count, 3)
-        assert coeffs.shape[::2] == (count, 3)
-        assert coeffs.shape[1] >= (degrees_to_use + 1) ** 2
-        basis = sh_basis(torch, degrees_to_use, dirs / dirs.norm(dim=1, keepdim=True))
-        return (basis[:, :, None] * coeffs[:, : basis.shape[1]]).sum(1)
+    def launch(self, name: str, blocks: tuple[int, ...], *arguments: Any) -> None:
+        given = [as_argument(value) for value in arguments]
+        pointers = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
+        ctypes.c_int.in_dll(self._library, "decogs_backwards").value = self._backwards
+        assert not self._library.emulate(name.encode(), *(*blocks, 1, 1)[:3], THREADS, pointers), name
 
-    @torch.no_grad()
-    def isect_tiles(
-        self, means2d: Tensor, radii: Tensor, depths: Tensor, tile_size: int, tile_width: int, tile_height: int
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        count = means2d.shape[1]
-        assert (means2d.shape, radii.shape, depths.shape) == ((1, count, 2), (1, count, 2), (1, count))
-        assert (means2d.dtype, radii.dtype, depths.dtype) == (torch.float32, torch.int32, torch.float32)
-        bits = depths[0].contiguous().view(torch.int32).long() & 0xFFFFFFFF
-        pairs = []
-        for i in (radii[0] > 0).all(1).nonzero()[:, 0].tolist():
-            low = ((means2d[0, i] - radii[0, i]) / tile_size).floor().long().clamp(min=0)
-            high = ((means2d[0, i] + radii[0, i]) / tile_size).ceil().long()
-            for y in range(int(low[1]), min(int(high[1]), tile_height)):
-                for x in range(int(low[0]), min(int(high[0]), tile_width)):
-                    pairs.append(((y * tile_width + x) << 32 | int(bits[i]), i))  # noqa: PERF401
-        pairs.sort()
-        keys, ids = torch.tensor([k for k, _ in pairs]).long(), torch.tensor([i for _, i in pairs]).int()
-        return torch.bincount(ids, minlength=count)[None], keys, ids
 
-    def isect_offset_encode(self, isect_ids: Tensor, n_images: int, tile_width: int, tile_height: int) -> Tensor:
-        assert n_images == 1
-        begins = torch.searchsorted(isect_ids >> 32, torch.arange(tile_width * tile_height))
-        return begins.int().view(1, tile_height, tile_width)
-
-    def rasterize_to_pixels(
-        self,
-        means2d: Tensor,
-        conics: Tensor,
-        colors: Tensor,
-        opacities: Tensor,
-        image_width: int,
-        image_height: int,
-        tile_size: int,
-        isect_offsets: Tensor,
-        flatten_ids: Tensor,
-        backgrounds: None = None,
-        masks: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        count, channels = colors.shape[1:]
-        shapes = [tuple(x.shape) for x in (means2d, conics, colors, opacities)]
-        assert shapes == [(1, count, 2), (1, count, 3), (1, count, channels), (1, count)]
-        assert channels in (1, 2, 3, 4, 5, 8, 9, 16)
-        assert masks is None or (masks.dtype == torch.bool and masks.shape == isect_offsets.shape)
-        _, rows, columns = isect_offsets.shape
-        ends = [*isect_offsets.flatten().tolist()[1:], len(flatten_ids)]
-        # Nothing of a tile that is masked out is defined but its colours: their gradients must not matter either.
-        bands = []
-        for row in range(rows):
-            tiles = []
-            for column in range(columns):
-                tile = row * columns + column
-                if masks is not None and not masks[0, row, column]:
-                    blank = torch.zeros(tile_size, tile_size, channels + 1)
-                    blank[..., channels] = torch.nan
-                    tiles.append(blank)
-                    continue
-                self.tiles_drawn += 1
-                ids = flatten_ids[isect_offsets[0, row, column] : ends[tile]].long()
-                chosen = (means2d[0, ids], conics[0, ids], colors[0, ids], opacities[0, ids])
-                corner = torch.tensor([column * tile_size, row * tile_size])
-                tiles.append(self._tile(corner, tile_size, *(x.double() for x in chosen)).float())
-            bands.append(torch.cat(tiles, 1))
-        planes = torch.cat(bands)[:image_height, :image_width]
-        return planes[None, ..., :channels], planes[None, ..., channels:]
-
-    def _tile(
-        self, corner: Tensor, size: int, means2d: Tensor, conics: Tensor, colors: Tensor, opacities: Tensor
-    ) -> Tensor:
-        """Colours and alpha of a tile's pixels: Kerbl 2023, equation 3, for all pixels and all Gaussians at once."""
-        y, x = torch.meshgrid(torch.arange(size) + 0.5, torch.arange(size) + 0.5, indexing="ij")
-        dx, dy = torch.stack([x, y], -1)[:, :, None].sub(means2d - corner).unbind(-1)
-        fall = 0.5 * (conics[:, 0] * dx * dx + conics[:, 2] * dy * dy) + conics[:, 1] * dx * dy
-        alpha = (opacities * (-fall).exp()).clamp(max=self.alpha_max)
-        alpha = torch.where(alpha >= THRESHOLD, alpha, 0.0)
-        after = (1 - alpha).cumprod(2)
-        alpha = torch.where(after > 1e-4, alpha, 0.0)
-        through = (1 - alpha).cumprod(2)
-        before = torch.cat([torch.ones(size, size, 1), through], 2)
-        return torch.cat([(alpha * before[:, :, :-1]) @ colors, 1 - before[:, :, -1:]], 2)
+def emulated_kernel(*, backwards: bool = False) -> CudaKernel:
+    return CudaKernel(device="cpu", kernels=EmulatedKernels(backwards=backwards))
 
 
 @dataclass(frozen=True)
@@ -193,12 +93,10 @@ class Backend:
 
 
 BACKENDS = {
-    # The stand-in is exact; what is left is float32 in between and in the native kernel (seen: 2e-6 and 6e-6).
-    "stand-in": Backend(lambda: CudaKernel(device="cpu", gsplat=StandIn()), 1e-5, 3e-5),
-    # gsplat compiles with fast maths and takes determinants as differences, which loses two digits of seven for an
-    # ellipse ten times as long as wide; its compensation's gradient divides by the square root of one. Seen on an H100
-    # with 150 000 Gaussians: 2.5e-6 (rms) and 3e-4.
-    "gsplat": Backend(lambda: CudaKernel(), 1e-3, 2e-2),
+    # The native kernel's operations, but for exponentials, logarithms and the order of sums over a tile.
+    "emulated": Backend(emulated_kernel, 1e-5, 3e-5),
+    # Multiplications and additions are contracted there.
+    "gpu": Backend(CudaKernel, 2e-5, 1e-4),
 }
 
 

@@ -3,8 +3,7 @@
 EWA splatting with the opacity-compensated low-pass filter of Mip-Splatting, so that a picture at another scale
 keeps its brightness; one C++ source compiled per instruction set; tiles of 16x16 pixels composited in 4x4 blocks.
 
-A backend is a function with the signature of ``native.render_planes``; a CUDA one (gsplat,
-``rasterize_mode="antialiased"``) fits behind it.
+A backend is a function with the signature of ``native.render_planes``.
 """
 
 from __future__ import annotations

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from decogs.formats.splats import FloatArray
-
-from ..change.masks import BoolArray, FrameMask
+from ..change.masks import BoolArray
 from ..settings.encode import EncodeSettings
 from .building import disable
-from .moving_regions import moving_regions
 
 
 @dataclass(frozen=True)
@@ -25,20 +22,12 @@ class EnabledEffects:
     moving: Sequence[BoolArray] | None
 
 
-def enabled_effects(
-    settings: EncodeSettings,
-    pictures: Sequence[FloatArray],
-    references: Sequence[FloatArray],
-    masks: Sequence[FrameMask],
-    *,
-    threads: int = 1,
-) -> EnabledEffects:
+def enabled_effects(settings: EncodeSettings, moving: Sequence[BoolArray] | None) -> EnabledEffects:
     """Those of ``settings``' effects that a changed frame calls for: all where something moves, else light alone.
 
-    ``pictures``, ``references``: those of the frame, (3, H, W) each.
+    ``moving``: the frame's `moving_regions`.
     """
     effects = settings.frame_effects
-    moving = moving_regions(pictures, references, masks, threads=threads)
     if moving is not None:
         # Moving objects change their shading: without colours workbench_drift loses half a dB in moving regions.
         return EnabledEffects(effects, settings, moving)

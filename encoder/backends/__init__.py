@@ -1,7 +1,7 @@
 """Where training runs: backends by name, behind one protocol (`protocol`).
 
-``cpu`` is the reference: native kernels, the same bits for the same seed. ``cuda`` needs torch and gsplat, which are
-imported when it is asked for. ``auto`` is the CPU, since on a GPU the same seed gives other bytes every time.
+``cpu`` is the reference: native kernels, the same bits for the same seed. ``cuda`` needs torch, which is
+imported when it is asked for; there, too, the same seed gives the same bytes, which another card need not give.
 """
 
 from __future__ import annotations

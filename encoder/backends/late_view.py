@@ -56,6 +56,9 @@ class LateView:
         assert self._shown is not None
         self._view.set_scene(self._shown)
 
+    def refresh(self) -> None:
+        self._view.refresh()
+
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
         return self._view.redraw(marks)
 
@@ -100,6 +103,9 @@ class LateView:
         self._view.detach(stale)
         self._scene, self._shown = scene, _moved(scene, self._late * motion)
         self._view.commit(self._shown, np.union1d(rows, new[stale]), renumbered)
+
+    def squared_error(self, picture: FloatArray, counted: FloatArray | None = None) -> float:
+        return self._view.squared_error(picture, counted)
 
     def centres(self) -> FloatArray:
         return self._view.centres()

@@ -165,8 +165,8 @@ class ViewGradients(Protocol):
 class FixedView(Protocol):
     """The picture of a pinhole ``camera``, kept up to date while Gaussians change a few at a time.
 
-    The order of calls: ``set_scene``; then for every frame ``redraw`` (as often as wanted), ``detach`` the Gaussians
-    that are about to change, ``draw`` and ``backward`` as often as wanted, ``commit``.
+    The order of calls: ``set_scene``; then for every frame ``refresh`` or ``redraw`` (as often as wanted), ``detach``
+    the Gaussians that are about to change, ``draw`` and ``backward`` as often as wanted, ``commit``.
 
     ``rgb`` (3, H, W), ``alpha`` and ``depth`` (H, W; the depth summed by weight) are the picture as last drawn or
     redrawn; ``alpha`` and ``depth`` are those of the last redraw or of the last draw with ``depth``.
@@ -193,10 +193,13 @@ class FixedView(Protocol):
         """One per 16x16 tile: whether a Gaussian of the last ``draw`` meets it. Nothing else can change its pixels."""
 
     def set_scene(self, scene: Splats) -> None:
-        """Starts with a whole scene (N Gaussians), all of it static; the picture is there after ``redraw``."""
+        """Starts with a whole scene (N Gaussians), all of it static; the picture is there after ``refresh``."""
+
+    def refresh(self) -> None:
+        """Brings the picture up to date with the static scene."""
 
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
-        """Brings the picture up to date with the static scene; every Gaussian's rendering weight, (2, N).
+        """`refresh`, and every Gaussian's rendering weight, (2, N).
 
         The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
         """
@@ -221,7 +224,7 @@ class FixedView(Protocol):
     ) -> LossValue:
         """``TrainingKernel.picture_loss`` of the last ``draw`` in the tiles of ``met``; its gradient waits.
 
-        The arrays must not change until the next ``detach``: a device keeps its copy of them for a frame.
+        The arrays must not change as long as they live: a device keeps its copy of them.
         """
 
     def backward(self, v_rgb: FloatArray | None = None, *, out: SplatGradients | None = None) -> Gradients:
@@ -238,6 +241,12 @@ class FixedView(Protocol):
         -1 for one that is gone, which must have been detached; None when all kept theirs.
         """
 
+    def squared_error(self, picture: FloatArray, counted: FloatArray | None = None) -> float:
+        """Sum of the squared differences of this view's picture, clipped to 0..1, from ``picture`` (3, H, W).
+
+        ``counted`` (H, W) weighs the pixels. May be asked on any thread.
+        """
+
     def centres(self) -> FloatArray:
         """Projected centres (N, 2) of the static scene, in pixels; NaN where a Gaussian is not drawn."""
 
@@ -251,6 +260,8 @@ class TrainingKernel(Protocol):
     """
 
     background: Colour
+    leaves_processor_idle: bool
+    """Whether the processor can do other work while it trains."""
 
     def forward(
         self,
@@ -278,6 +289,9 @@ class TrainingKernel(Protocol):
         arrays must not change as long as they live: a device keeps its copy of them. Source: Wang 2004, Kerbl 2023
         eq. 7.
         """
+
+    def bring(self, *arrays: FloatArray | None) -> None:
+        """Starts to bring arrays of a coming loss to where it is evaluated; on any thread."""
 
     def backward(
         self,

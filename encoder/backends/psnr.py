@@ -10,7 +10,7 @@ from decogs.formats.splats import FloatArray, Splats
 from decogs.rig.parallel import side_by_side
 from decogs.rig.pictures.ingest import View
 
-from . import TrainingKernel
+from .protocol import FixedView, TrainingKernel
 
 
 def psnr_of(mean_square: float) -> float:
@@ -42,6 +42,18 @@ def _picture_psnr(view: View, rendered: FloatArray, picture: FloatArray) -> floa
     if view.valid is not None:
         square = square * view.valid
     return psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view))))
+
+
+def mean_shown_psnr(
+    shown: Sequence[FixedView], views: Sequence[View], pictures: Sequence[FloatArray], *, threads: int = 1
+) -> float:
+    """`mean_picture_psnr` of what fixed views show."""
+
+    def psnr(fixed: FixedView, view: View, picture: FloatArray) -> float:
+        return psnr_of(fixed.squared_error(picture, view.valid) / (3 * float(_size(view))))
+
+    with side_by_side(threads) as each:
+        return float(np.mean(list(each(psnr, shown, views, pictures))))
 
 
 def _size(view: View) -> float:

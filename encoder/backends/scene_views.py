@@ -41,7 +41,7 @@ class SceneViews(Sequence[FixedView]):
         if self._drawn is not scene:
             for view in self._views:
                 view.set_scene(scene)
-                view.redraw()
+                view.refresh()
             self._drawn = scene
         return self
 
@@ -72,7 +72,7 @@ class SceneViews(Sequence[FixedView]):
         rows = np.concatenate([np.setdiff1d(renumbered[trained], [-1]), new])
         for view in self._views:
             view.commit(scene, rows, renumbered)
-            view.redraw()
+            view.refresh()
         self._drawn = scene
 
     def release(self) -> None:

@@ -12,7 +12,7 @@ ids).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -27,6 +27,7 @@ from .masks import (
     PixelChange,
     changed_fraction,
     difference_mask,
+    share,
     usable_views,
 )
 
@@ -41,7 +42,7 @@ MAX_FLASH_FRAMES = 8
 def changes_most(changes: Sequence[PixelChange]) -> bool:
     """Whether nearly everything has changed since it was trained."""
     used = usable_views(changes)
-    return bool(used) and float(np.mean([changes[index].raw.mean() for index in used])) > _MIN_FLASH_FRACTION
+    return bool(used) and float(np.mean([share(changes[index].raw) for index in used])) > _MIN_FLASH_FRACTION
 
 
 def may_be_flash(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSettings) -> bool:
@@ -55,12 +56,16 @@ def matches(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSe
 
 
 def is_missed(
-    memory: MaskMemory, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray], changes: Sequence[PixelChange]
+    memory: MaskMemory,
+    pictures: Sequence[FloatArray],
+    render: Callable[[], Sequence[FloatArray]],
+    changes: Sequence[PixelChange],
 ) -> bool:
-    """Whether most pixels clearly changed and the scene, as ``rendered``, misses them, though no change was found."""
+    """Whether most pixels clearly changed and the scene, which ``render`` draws, misses them: no change was found."""
     used = usable_views(changes)
     if not used or any(change.raw.any() for change in changes):
         return False
     clearly = partial(difference_mask, threshold=CLEAR_CHANGE_LEVELS)
+    rendered = render()
     missed = [clearly(pictures[i], memory.references[i]) & clearly(pictures[i], rendered[i]) for i in used]
     return float(np.median([mask.mean() for mask in missed])) > MAX_NOISE_FRACTION

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from decogs.codec.scene.state import same_values
+from decogs.formats.splats import FloatArray
 
 from ..change.masks import MaskMemory
 from ..coding.packets import Written
@@ -16,8 +18,12 @@ from ..training.method import TrainedFrame
 from ..training.warm_start import Motion
 from .context import Context
 from .events import PendingFrame
+from .first_look import Looking, Upcoming, begin_looking
 from .memory import Memory
 from .plan import FramePlan
+
+_LOOKING_SHARE = 4
+"""Of the threads, one in so many looks ahead: it has all of the training for it, which threads of Python's hold up."""
 
 
 def redraw(context: Context, frame: PendingFrame, scene: Scene, trained: TrainedFrame | None, watch: Stopwatch) -> None:
@@ -39,12 +45,25 @@ def next_memory(
     trained: TrainedFrame | None,
     written: Written,
     watch: Stopwatch,
+    looking: Looking | None = None,
 ) -> Memory:
-    """The memory after a frame whose new ``scene`` is drawn, and all that is left of the ``written`` frame."""
+    """The memory after a frame whose new ``scene`` is drawn, and all that is left of the ``written`` frame.
+
+    ``looking``: at the next frame, meanwhile.
+    """
     memory = frame.memory
+    # Training that was rejected, or whose changes were all reverted, has made up for nothing.
+    stands = trained is not None and bool(plan.masks) and not same_values(frame.scene.state, scene.state)
+    if trained is None or not stands or trained.truncated:
+        looking = None
+    if looking is not None:
+        masks = looking.memory.result()
+    else:
+        masks = _masks_after(context, frame, plan, scene, trained if stands else None)
     return replace(
         memory,
-        masks=_masks_after(context, frame, plan, scene, trained),
+        masks=masks,
+        looking=looking,
         motion=_motion_after(frame, plan, scene),
         corrections=_corrections_after(context, frame, plan, scene, watch),
         rate=None if memory.rate is None else memory.rate.after(written.packet.kind, written.packet.size),
@@ -53,18 +72,38 @@ def next_memory(
     )
 
 
+def look_ahead(context: Context, frame: PendingFrame, plan: FramePlan, upcoming: Upcoming) -> Looking | None:
+    """Begins to look at the next frame if it is known what this one, once trained, hands on to its masks."""
+    compensated = context.corrector is not None or frame.scene.header.camera_colours
+    if compensated or not plan.trains or plan.relit or frame.memory.time is not None or not plan.masks:
+        return None
+    threads = max(1, context.threads // _LOOKING_SHARE)
+    return begin_looking(
+        lambda: _trained_masks(context, frame, plan, None), upcoming, context.kernel, context.settings, threads
+    )
+
+
+def _trained_masks(
+    context: Context, frame: PendingFrame, plan: FramePlan, rendered: Sequence[FloatArray] | None
+) -> MaskMemory:
+    memory = frame.memory.masks.trained(
+        frame.pictures,
+        plan.masks,
+        moved="motion" in plan.effects,
+        rendered=rendered,
+        relit=plan.relit,
+        threads=context.threads,
+    )
+    return memory.advance(frame.pictures, plan.masks, context.settings.frame.masks, deferred=plan.deferred)
+
+
 def _masks_after(
     context: Context, frame: PendingFrame, plan: FramePlan, scene: Scene, trained: TrainedFrame | None
 ) -> MaskMemory:
-    memory, settings = frame.memory.masks, context.settings.frame.masks
-    # Training that was rejected, or whose changes were all reverted, has made up for nothing.
-    if trained is not None and plan.masks and not same_values(frame.scene.state, scene.state):
+    if trained is not None:
         rendered = frame.memory.views.pictures(scene.splats) if trained.truncated or plan.relit else None
-        moved = "motion" in plan.effects
-        memory = memory.trained(
-            frame.pictures, plan.masks, moved=moved, rendered=rendered, relit=plan.relit, threads=context.threads
-        )
-    return memory.advance(frame.pictures, plan.masks, settings, deferred=plan.deferred)
+        return _trained_masks(context, frame, plan, rendered)
+    return frame.memory.masks.advance(frame.pictures, plan.masks, context.settings.frame.masks, deferred=plan.deferred)
 
 
 def _motion_after(frame: PendingFrame, plan: FramePlan, scene: Scene) -> Motion:

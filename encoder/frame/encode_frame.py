@@ -32,10 +32,11 @@ from ..keyframe.first_frame import FirstFrame, train_first_frame
 from ..output.reports import OnKeyframeStep
 from ..stopwatch import Stopwatch
 from ..training.method import TrainedFrame
-from .commit import next_memory, redraw
+from .commit import look_ahead, next_memory, redraw
 from .context import Context
 from .cross_fade import CrossFade, cross_fade
 from .events import Kind, PendingFrame, what_happened
+from .first_look import Upcoming
 from .memory import Memory, SceneStart, new_memory, restart_at_segment
 from .plan import FramePlan, find_masks, find_selected, plan_frame
 from .train import train_frame
@@ -58,7 +59,7 @@ class Task:
     """A frame to encode, as ``recorded``; ``packet``: what an earlier encode made of it, instead of training.
 
     ``following``: the closed segment that it is faded towards, if any. ``on_step`` follows the training of a keyframe.
-    ``write`` takes the packet.
+    ``write`` takes the packet. ``upcoming``: the next frame, to be looked at meanwhile.
     """
 
     recorded: RigFrame
@@ -67,6 +68,7 @@ class Task:
     on_step: OnKeyframeStep | None = None
     watch: Stopwatch = field(default_factory=Stopwatch)
     write: Callable[[Packet], None] = _nowhere
+    upcoming: Upcoming | None = None
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,9 @@ def train_and_code(context: Context, frame: PendingFrame, task: Task) -> Encoded
     masks = find_masks(context, frame, watch)
     selected = find_selected(context, frame, masks, watch)
     plan = plan_frame(context, frame, masks, selected, fade, watch)
+    looking = None
     if packet is None or state is None:
+        looking = None if task.upcoming is None else look_ahead(context, frame, plan, task.upcoming)
         before, trained = train_frame(context, frame, plan, watch) if plan.trains else (frame.scene, None)
         if fade is not None:
             trained = _fade(context, frame, plan, before, trained, fade, watch)
@@ -154,7 +158,7 @@ def train_and_code(context: Context, frame: PendingFrame, task: Task) -> Encoded
     with watch.stage("write"):
         task.write(written.packet)
     redraw(context, frame, scene, trained, watch)
-    memory = next_memory(context, frame, plan, scene, trained, written, watch)
+    memory = next_memory(context, frame, plan, scene, trained, written, watch, looking)
     return Encoded(
         written,
         scene,

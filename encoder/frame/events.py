@@ -72,9 +72,13 @@ def what_happened(context: Context, frame: PendingFrame, watch: Stopwatch) -> Pe
         if not settings.frame_effects:
             return replace(frame, kind=Kind.NOTHING)
         scene, memory = frame.scene, frame.memory
-        changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads, lost=lost)
+        look = memory.first_look(frame.pictures)
+        if look is not None and not lost:
+            changes = look.changes
+        else:
+            changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads, lost=lost)
         kind = Kind.CHANGE
-        if is_missed(memory.masks, frame.pictures, memory.views.pictures(scene.splats), changes):
+        if is_missed(memory.masks, frame.pictures, lambda: memory.views.pictures(scene.splats), changes):
             kind = Kind.EVERYTHING
         elif changes_most(changes):
             if _is_cut(context, frame, changes):

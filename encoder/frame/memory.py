@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from decogs.codec.scene.state import State
+from decogs.formats.splats import FloatArray
 from decogs.rig.pictures.ingest import RigFrame
 from decogs.rig.stage.stage import Stage
 
@@ -18,6 +20,7 @@ from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion
 from .context import Context
+from .first_look import FirstLook, Looking
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Memory:
 
     ``views``: the training views, which keep what was drawn last. ``first``: the stream's first frame, to which closed
     segments return; None in other streams. ``rate`` and ``time`` keep to budgets, where there are some. ``stage``: the
-    scene's, if it is one.
+    scene's, if it is one. ``looking``: at the next frame.
     """
 
     trainer: FrameTrainer
@@ -57,6 +60,12 @@ class Memory:
     stage: Stage | None = None
     before_flash: BeforeFlash | None = None
     first: SceneStart | None = None
+    looking: Looking | None = None
+
+    def first_look(self, pictures: Sequence[FloatArray]) -> FirstLook | None:
+        """The look that was taken of the frame with these ``pictures``, if one was, and if this is what preceded it."""
+        look = None if self.looking is None else self.looking.taken()
+        return look if look is not None and look.is_of(self.masks, pictures) else None
 
 
 def new_memory(
@@ -86,7 +95,7 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(start.frame.training, rendered, subject=bool(start.frame.alpha)),
+        MaskMemory.begin(start.frame.training, rendered, subject=bool(start.frame.alpha), threads=context.threads),
         Motion.at_rest(len(scene.state)),
         corrections,
         None if budget is None else RateControl(budget, settings.segment),

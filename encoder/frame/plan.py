@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from decogs.rig.stage.stage import BackdropStage
 
 from ..analysis.enabled import enabled_effects
+from ..analysis.moving_regions import moving_regions
 from ..backends import FixedView
 from ..change.flashes import changes_most
 from ..change.masks import FrameMask, full_masks, usable_views
@@ -72,7 +73,9 @@ def find_masks(context: Context, frame: PendingFrame, watch: Stopwatch) -> Seque
     if frame.kind is Kind.NOTHING:
         return []
     with watch.stage("masks"):
-        settings = context.settings.frame.masks
+        settings, look = context.settings.frame.masks, frame.memory.first_look(frame.pictures)
+        if look is not None and look.changes is frame.changes:
+            return look.masks
         return frame.memory.masks.masks(frame.pictures, frame.changes, settings, threads=context.threads)
 
 
@@ -106,7 +109,12 @@ def plan_frame(
         selected = np.ones(len(selected), bool)
     if effects and settings.detect_per_frame and masks and not relit:
         with watch.stage("effects"):
-            found = enabled_effects(settings, frame.pictures, memory.masks.references, masks, threads=context.threads)
+            look = memory.first_look(frame.pictures)
+            if look is not None and look.masks is masks:
+                moving = look.moving
+            else:
+                moving = moving_regions(frame.pictures, memory.masks.references, masks, threads=context.threads)
+            found = enabled_effects(settings, moving)
             effects, settings = found.effects, found.settings
             if found.moving is None:
                 relit = _is_missed(frame, masks)

@@ -54,7 +54,7 @@ class EncodeJob:
 
     seed: int = 0  # the same one gives the same bytes, except with a time budget
     threads: int = 0  # 0: all processors; the stream does not depend on it
-    device: str = "auto"  # "cuda" takes gsplat and gives other bits every time; "auto" is the CPU
+    device: str = "auto"  # "cuda" takes torch and gives other bits than "cpu"; "auto" is "cpu"
     max_memory: int | None = None  # bytes beyond the program itself; None: no limit
 
     log: PathLike | None = None  # file for JSON lines, continued with ``resume``

@@ -15,6 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from decogs.formats.splats import FloatArray
+from decogs.rig.parallel import side_by_side
+
 from ..backends import Gradients
 from ..training.emergence import add_emerging_in_time
 from ..training.frame_training import FrameTraining, LossOfView, Step, frame_training
@@ -53,10 +56,12 @@ class DecogsTrainer:
     def train_set(self, frame: FrameInput, work: WorkingSet) -> TrainedFrame:
         """The same with a ``work`` that exists, whose optimiser may remember."""
         began = time.perf_counter()
-        training = frame_training(self.context, frame, self._loss)
-        probes = _probes(training)
-        before = training.squared_error(probes)
-        _start_warm(work, frame)
+        with side_by_side(self.context.threads) as each:
+            moved_on = each(_moved_on, [work], [frame])
+            training = frame_training(self.context, frame, self._loss)
+            probes = _probes(training)
+            before = training.squared_error(probes)
+            work.optimiser.put(means=next(moved_on))
         if frame.relit:
             relight(training, work)
         factor = _iteration_factor(training, work, probes)
@@ -82,12 +87,10 @@ def _probes(training: FrameTraining) -> Sequence[int]:
     return training.used[::every]
 
 
-def _start_warm(work: WorkingSet, frame: FrameInput) -> None:
-    """Moves the Gaussians on by a share of their neighbourhood's last displacement."""
-    share, motion = np.float32(frame.settings.warm_start), frame.motion[work.rows]
-    if share and motion.any():
-        means = work.values.means
-        work.optimiser.put(means=means + share * shared_displacements(means, motion))
+def _moved_on(work: WorkingSet, frame: FrameInput) -> FloatArray:
+    """The Gaussians' means, moved on by a share of their neighbourhood's last displacement."""
+    share, motion, means = np.float32(frame.settings.warm_start), frame.motion[work.rows], work.values.means
+    return means + share * shared_displacements(means, motion) if share and motion.any() else means
 
 
 def _smooth_displacements(work: WorkingSet) -> None:

@@ -14,13 +14,14 @@ from decogs.codec.scene.lattice import Lattice, default_lattice
 from decogs.formats.errors import RigError, StreamError
 from decogs.formats.splats import sh_degree_of
 from decogs.formats.stream.container import Packet
-from decogs.rig.parallel import ahead
+from decogs.rig.parallel import Ahead
 from decogs.rig.pictures.ingest import RigFrame
 from decogs.rig.pictures.recording_digests import difference, recorded_in
 
 from ..coding.stream_header import stream_header
 from ..frame.context import Context
 from ..frame.encode_frame import Encoded, Task, begin_scene, earlier_first_frame, encode_frame, train_keyframe
+from ..frame.first_look import Upcoming
 from ..frame.next_segment import NextSegment, train_next_segment, with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
@@ -63,6 +64,7 @@ class StreamEncoder:
         self._next: NextSegment | None = None
         self._reporter = FrameReporter(context, options.on_warning)
         self._has_cut = False
+        self._upcoming: Upcoming | None = None
 
     def check_header(self, first: int) -> None:
         """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
@@ -76,7 +78,10 @@ class StreamEncoder:
     def encode(self, frames: Iterable[RigFrame], first: int, earlier: Earlier) -> Iterator[FrameReport]:
         """Encodes ``frames`` of a take that begins with the rig's frame ``first``; ``earlier`` ones are replayed."""
         written = iter(earlier.packets)
-        read = ahead(frames) if self._options.read_ahead and self._context.threads > 1 else frames
+        read: Iterable[RigFrame] = frames
+        if self._options.read_ahead and self._context.threads > 1:
+            read = coming = Ahead(frames)
+            self._upcoming = coming.peek if self._context.kernel.leaves_processor_idle else None
         for place, (frame, following) in enumerate(with_following(read, first, self._context.settings)):
             packet = next(written, None)
             if packet is not None:
@@ -103,7 +108,8 @@ class StreamEncoder:
         segment = self._next_segment([frame, *following], last, watch)
         coded = segment.first if segment is not None and segment.start == frame.index else None
         packet = None if coded is None else coded.written.packet
-        task = Task(frame, packet, segment, self._options.on_keyframe_step, watch, self._write)
+        on_step = self._options.on_keyframe_step
+        task = Task(frame, packet, segment, on_step, watch, self._write, self._upcoming)
         encoded = encode_frame(self._context, last.scene, last.memory, task)
         if coded is not None:
             encoded = replace(encoded, rejected=coded.rejected)

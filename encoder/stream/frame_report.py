@@ -11,7 +11,7 @@ from decogs.formats.stream.container import PacketKind
 from decogs.formats.system.callbacks import OnWarning
 from decogs.rig.pictures.ingest import display_referred
 
-from ..backends.psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
+from ..backends.psnr import mean_picture_psnr, mean_psnr, mean_shown_psnr, psnr_of, square_error
 from ..change.masks import usable_views
 from ..frame.context import Context
 from ..frame.encode_frame import Encoded
@@ -85,9 +85,11 @@ class FrameReporter:
 
     def _training_psnr(self, encoded: Encoded) -> float:
         used, views = self._used(encoded), self._context.ingest.views
-        pictures = [encoded.pictures.training[i] for i in used]
-        rendered = self._rendered(encoded, used)
-        return mean_picture_psnr([views[i] for i in used], rendered, pictures, threads=self._context.threads)
+        chosen, pictures = [views[i] for i in used], [encoded.pictures.training[i] for i in used]
+        if not self._context.method.dense:
+            fixed = encoded.memory.views.of(encoded.scene.splats)
+            return mean_shown_psnr([fixed[i] for i in used], chosen, pictures, threads=self._context.threads)
+        return mean_picture_psnr(chosen, self._rendered(encoded, used), pictures, threads=self._context.threads)
 
     def _held_out_psnr(self, encoded: Encoded) -> float | None:
         """PSNR of the held-out views with a picture; of a subject alone, of those with a matte; None without one."""

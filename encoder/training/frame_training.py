@@ -101,7 +101,10 @@ class FrameTraining:
             return list(each(missing, views))
 
     def squared_error(self, views: Sequence[int]) -> float:
-        """Sum of the squared `errors`."""
+        """Sum of the squared `errors`; where whole pictures are compared in no time, weighed as their losses are."""
+        if self.context.kernel.leaves_processor_idle:
+            drawn, pictures = self.context.static_views, self.frame.pictures
+            return sum(drawn[i].squared_error(pictures[i], self.losses[i].focus) for i in views)
         return sum(float(np.square(errors).sum(dtype=np.float64)) for errors in self.errors(views))
 
     def outcome(self, work: WorkingSet, drawn: Drawable, before: float, views: Sequence[int]) -> TrainedFrame:
@@ -145,7 +148,9 @@ def frame_training(context: TrainingContext, frame: FrameInput, loss: LossOfView
     """The training of a frame with one ``loss`` for every view."""
 
     def of_view(picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
-        return loss(picture, mask.dilated, view.valid, frame.settings.focus)
+        made = loss(picture, mask.dilated, view.valid, frame.settings.focus)
+        context.kernel.bring(made.target, made.l1_weight, made.focus)
+        return made
 
     with side_by_side(context.threads) as each:
         losses = list(each(of_view, frame.pictures, frame.masks, context.views))

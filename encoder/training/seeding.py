@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeVar
 
 import cv2
@@ -60,7 +60,7 @@ _SIGMA_PER_SPACING = 0.6
 _MIN_ALPHA = np.float32(1e-6)
 """Alpha of a ray that meets nothing: keeps its depth at 0."""
 _BATCH_RAYS = 500
-"""Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
+"""Rays per batch, at least, if there are as many: enough for numpy to dominate Python."""
 _BLOCK_SIDE_PIXELS = 64
 """Side of a block of pixels that is smoothed at once."""
 _MARGIN_PIXELS = 2
@@ -82,6 +82,15 @@ class SearchView:
     depth: FloatArray
     focus: BoolArray
 
+    @cached_property
+    def missed(self) -> FloatArray:
+        """By how much the rendering misses a pixel of the focus, (H, W), in its worst colour; 0 elsewhere."""
+        missed = np.zeros(self.focus.shape, np.float32)
+        for rendered, picture in zip(self.rendered, self.picture, strict=True):
+            cv2.max(missed, cv2.absdiff(rendered, picture), dst=missed)
+        missed[~self.focus] = 0
+        return missed
+
     def surface(self, pixels: IntArray | slice) -> FloatArray:
         """Mean depth along the rays of flat pixels, 0 for none."""
         return np.asarray(self.depth.ravel()[pixels] / np.maximum(self.alpha.ravel()[pixels], _MIN_ALPHA))
@@ -89,16 +98,13 @@ class SearchView:
 
 def missed_pixels(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
     """Pixels (H, W) of the focus where rendering and picture clearly differ, without edges one pixel wide."""
-    focus = np.flatnonzero(view.focus)
-    rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (view.rendered, view.picture))
-    wrong = np.zeros(view.focus.shape, bool)
-    wrong.reshape(-1)[focus] = np.abs(rendered - picture).max(axis=0) > np.float32(levels / 255)
+    wrong = view.missed > np.float32(levels / 255)
     return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
 def enough_missed_pixels(masks: Sequence[BoolArray]) -> bool:
     """Whether ``masks`` of missed pixels cover more than a tiny share of their pictures."""
-    missing = sum(int(mask.sum()) for mask in masks)
+    missing = sum(map(np.count_nonzero, masks))
     return missing > _MIN_MISSED_SHARE * sum(mask.size for mask in masks)
 
 
@@ -116,10 +122,10 @@ def find_seeds(
     """
     if settings.max_seeds <= 0 or not enough_missed_pixels(cores):
         return empty_splats(sh_degree)
-    step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
+    step = max(1, -(-sum(map(np.count_nonzero, cores)) // settings.max_rays))
     with side_by_side(threads) as each:
         search = _Search(views, cores, each)
-        found = list(each(search.along_rays, search.rays(step)))
+        found = list(each(search.along_rays, search.rays(step, each)))
     if not found:
         return empty_splats(sh_degree)
     return _splats(_thin(_confirm(_join(found), step), settings.max_seeds), cores, sh_degree)
@@ -230,18 +236,24 @@ class _Search:
 
     def __init__(self, views: Sequence[SearchView], cores: Sequence[BoolArray], each: Each) -> None:
         self._views, self._cores = views, cores
-        self._wide = list(each(_widen, views, cores))
+        surfaces, wide = each(lambda view: view.surface(slice(None, None, 17)), views), each(_widen, views, cores)
         self._smooth = [_Smoothed(view.camera, partial(_picture, view)) for view in views]
         self._change = [_Smoothed(view.camera, partial(_difference, view)) for view in views]
-        depths = np.concatenate([view.surface(slice(None, None, 17)) for view in views])
+        depths = np.concatenate(list(surfaces))
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
         self._inverse = np.linspace(1 / (_NEAREST_DEPTH_SHARE * near), 1 / far, _RAY_DEPTHS)
+        self._wide = list(wide)
 
-    def rays(self, step: int) -> list[_Rays]:
-        """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _BATCH_RAYS."""
-        views, cores = enumerate(self._views), self._cores
-        joined = _join([self._rays_of(i, view, np.flatnonzero(cores[i])[i % step :: step]) for i, view in views])
-        return [_take(joined, slice(at, at + _BATCH_RAYS)) for at in range(0, len(joined.pixels), _BATCH_RAYS)]
+    def rays(self, step: int, each: Each) -> list[_Rays]:
+        """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of some _BATCH_RAYS."""
+
+        def of_view(index: int) -> _Rays:
+            return self._rays_of(index, self._views[index], np.flatnonzero(self._cores[index])[index % step :: step])
+
+        joined = _join(list(each(of_view, range(len(self._views)))))
+        count = len(joined.pixels)
+        size = -(-count // max(1, count // _BATCH_RAYS))
+        return [_take(joined, slice(at, at + size)) for at in range(0, count, max(1, size))]
 
     def _rays_of(self, index: int, view: SearchView, pixels: IntArray) -> _Rays:
         return _Rays(
@@ -289,18 +301,15 @@ class _Search:
         The surface explains a pixel if the views agree on its colour there or, for texture too fine to compare, on its
         change. Rendered depths are slightly off, so nearby depths count as well.
         """
-        least = np.full(len(rays.pixels), np.inf, np.float32)
         changes = np.zeros((len(rays.pixels), 3), np.float32)
         for index in np.unique(rays.views):
             own = rays.views == index
             changes[own] = self._change[index].pixels(rays.pixels[own])
-        reach = rays.directions * rays.surface[:, None]
-        for nearer in (0.985, 1.0, 1.015):
-            there, _ = self._disagreements(
-                (self._smooth, self._change), rays.views, rays.origins + nearer * reach, (rays.smooth, changes)
-            )
-            least = np.minimum(least, np.minimum(*there))
-        return least
+        reach, depths = rays.directions * rays.surface[:, None], (0.985, 1.0, 1.015)
+        points = np.concatenate([rays.origins + nearer * reach for nearer in depths])
+        views, smooth, change = (np.concatenate([each] * len(depths)) for each in (rays.views, rays.smooth, changes))
+        there, _ = self._disagreements((self._smooth, self._change), views, points, (smooth, change))
+        return np.asarray(np.minimum(*there).reshape(len(depths), -1).min(axis=0))
 
     def _inside_hull(self, rays: _Rays, ray: IntArray, place: IntArray) -> tuple[IntArray, IntArray]:
         """The samples that lie inside the masks of nearly all other views that see them."""
@@ -436,7 +445,7 @@ def _splats(found: _Found, cores: Sequence[BoolArray], sh_degree: int) -> Splats
     if not count:
         return empty_splats(sh_degree)
     # A view shows half of a body's surface. The spacing is in pixels, for seeds that cover all of it.
-    area = 2 * sum(int(core.sum()) for core in cores) / len(cores)
+    area = 2 * sum(map(np.count_nonzero, cores)) / len(cores)
     spacing = float(np.clip(np.sqrt(area / count), 1.5, 6.0))
     sigmas = _SIGMA_PER_SPACING * spacing * found.pixel
     return round_splats(found.points, found.colours, sigmas, np.full(count, _SEED_OPACITY), sh_degree)

@@ -22,7 +22,7 @@ from decogs.formats.pictures.reading import Picture
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.system.callbacks import OnProgress
 
-from ..parallel import Each, ahead, side_by_side
+from ..parallel import Ahead, Each, side_by_side
 from ..pictures.ingest import RigFrame, View, check_held_out, display_referred
 from ..pictures.noise import picture_noise
 from ..stage.stage import BackdropStage, PlainStage, find_stage
@@ -118,7 +118,7 @@ def gather_statistics(
     with side_by_side(threads) as each:
         read = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=names, on_lost=lose)
         recorded = _repeated(read, unread)
-        pictures, noise, details = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
+        pictures, noise, details = _read(recorded if threads == 1 else Ahead(recorded), cameras, chosen, each, steps)
         matches = find_matches(cameras, [own[0] for own in pictures], each)
         backdrop = _backdrop(cameras, [own[0] for own in pictures])
         points = shared_points(cameras, matches, backdrop if isinstance(backdrop, PlainStage) else None)

@@ -3,7 +3,7 @@
     python tests/bench/gpu.py [--rounds N] [--count N] [--size WxH]
 
 Wall time with the device waited for at both ends of a part; medians over rounds, in which all variants run in turn.
-Needs a GPU, gsplat and torch with CUDA; nothing else in the tests does.
+"Queued" is a step as training takes it, waited for after many. Needs a GPU and torch with CUDA.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from statistics import median
 import numpy as np
 import torch
 
-from decogs.encoder.backends import cuda
+from decogs.encoder.backends import ATTRIBUTES, cuda
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
+from decogs.encoder.backends.cuda.device import read, upload
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, take_splats
@@ -28,6 +29,8 @@ from sparse import nearest
 
 RATES = LearningRates(1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9)
 """So small that the scene stays the same from round to round."""
+_QUEUED = 50
+"""Steps in a row."""
 
 
 def milliseconds(function: Callable[[], object]) -> float:
@@ -99,24 +102,32 @@ def bench_steps(kernel: CudaKernel, splats: Splats, camera: Camera, rounds: int)
             times = [milliseconds(part) for part in step.parts]
             if round_ >= 3:
                 rows[name].append(times)
-    print(f"{'':12} {'draw':>8} {'loss':>8} {'backward':>9} {'Adam':>8} {'step':>8}  tiles met")
+    print(f"{'':12} {'draw':>8} {'loss':>8} {'backward':>9} {'Adam':>8} {'step':>8} {'queued':>8}  tiles met")
     for name, step in variants.items():
         parts = [median(row[i] for row in rows[name]) for i in range(4)]
         met = f"{step.view.met.mean():.0%}" if isinstance(step, SparseStep) else "100%"
         total = median(sum(row) for row in rows[name])
-        print(f"{name:12} {parts[0]:8.2f} {parts[1]:8.2f} {parts[2]:9.2f} {parts[3]:8.2f} {total:8.2f}  {met}")
+        numbers = (*parts, total, milliseconds(lambda step=step: many(step)) / _QUEUED)  # type: ignore[misc]
+        print(f"{name:12} " + " ".join(f"{number:8.2f}" for number in numbers) + f"  {met}")
+
+
+def many(step: DenseStep | SparseStep) -> None:
+    for _ in range(_QUEUED):
+        for part in step.parts:
+            part()
 
 
 def bench_transfers(splats: Splats, camera: Camera, rounds: int) -> None:
     """What copies between host and device cost at this size."""
     picture = np.random.default_rng(0).random((3, camera.height, camera.width), dtype=np.float32)
-    on_device = torch.tensor(picture, device="cuda")
-    stored = [torch.tensor(a, device="cuda") for a in (splats.means, splats.log_scales, splats.quaternions, splats.sh)]
+    device = torch.device("cuda")
+    on_device = upload(picture, device)
+    stored = [upload(getattr(splats, name), device) for name in ATTRIBUTES]
     copies = {
-        "picture up": lambda: torch.tensor(picture, device="cuda"),
-        "picture down": lambda: on_device.cpu(),
-        "scene up": lambda: [torch.tensor(a, device="cuda") for a in (splats.means, splats.log_scales, splats.sh)],
-        "scene down": lambda: [a.cpu() for a in stored],
+        "picture up": lambda: upload(picture, device),
+        "picture down": lambda: read(on_device),
+        "scene up": lambda: [upload(getattr(splats, name), device) for name in ATTRIBUTES],
+        "scene down": lambda: [read(tensor) for tensor in stored],
     }
     for name, copy in copies.items():
         print(f"{name:14} {median(milliseconds(copy) for _ in range(rounds)):8.2f} ms")
@@ -128,6 +139,9 @@ def compare(kernel: CudaKernel, splats: Splats, camera: Camera) -> None:
     cotangent = np.random.default_rng(2).normal(size=(3, camera.height, camera.width)).astype(np.float32)
     pictures = [each.forward(splats, camera).rgb for each in (native, kernel)]
     gradients = [each.backward(splats, cotangent).host() for each in (native, kernel)]
+    again = kernel.backward(splats, cotangent).host()
+    same = all(np.array_equal(getattr(again, name), getattr(gradients[1], name)) for name in vars(again))
+    print(f"the same gradients again: {'the same bits' if same else 'other bits'}")
     off = np.abs(pictures[1] - pictures[0])
     print(f"picture: rms {np.sqrt(np.mean(off**2)):.2e}, largest {off.max():.2e}")
     for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view"):

@@ -155,13 +155,13 @@ def frame_report() -> FrameReport:
     )
 
 
-@pytest.fixture(params=["stand-in", "gsplat"], ids=lambda name: "gsplat-on-a-gpu" if name == "gsplat" else name)
+@pytest.fixture(params=["emulated", "gpu"])
 def backend(request: pytest.FixtureRequest) -> Any:
-    """The CUDA backend, on the stand-in and on a GPU."""
+    """The CUDA backend, emulated and on a GPU."""
     import cuda_cases  # with torch
     from decogs.encoder.backends import cuda
 
-    missing = cuda.missing() if request.param == "gsplat" else None
+    missing = cuda.missing() if request.param == "gpu" else None
     if missing:
-        pytest.skip(f"nothing to run gsplat on: {missing}")
+        pytest.skip(f"no GPU to run on: {missing}")
     return cuda_cases.BACKENDS[request.param]

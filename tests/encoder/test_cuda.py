@@ -1,39 +1,30 @@
-"""The CUDA backend's kernel against the native one: on a GPU through gsplat where there is one, and always on the CPU.
-
-On the CPU a stand-in for gsplat (`cuda_cases`) lets everything of ours run: layout, spherical harmonics, gradients.
-Only a GPU shows that gsplat's kernels do what their documentation says; there the same tests run on them.
-"""
+"""The CUDA backend's kernel against the native one: on a GPU where there is one, and always emulated (`cuda_cases`)."""
 
 from __future__ import annotations
 
-import inspect
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 import gradient_twin
 import rasterise_cases as cases
 from cuda_cases import (
-    BACKENDS,
     CAMERA,
     FIELDS,
     RATES,
     Backend,
-    StandIn,
     assert_same_gradients,
     assert_same_picture,
+    emulated_kernel,
     small_scene,
 )
 from decogs.encoder.backends import cuda, gradients_like, training_kernel
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import take_splats
 
@@ -45,8 +36,6 @@ from decogs.formats.splats import take_splats
 )  # fmt: skip
 def test_whole_pictures_and_gradients_are_the_native_ones(backend: Backend, name: str) -> None:
     case = cases.CASES[name]()
-    if backend is BACKENDS["gsplat"] and name in ("stack", "edges"):
-        pytest.skip("alphas beyond 0.99, where gsplat's differ by design")
     native, kernel = CpuKernel(1), backend.make()
     book = cases.textbook(case)
     cotangents = dict(zip(("v_rgb", "v_alpha", "v_depth"), cases.cotangents(case, book.doubtful), strict=True))
@@ -69,9 +58,9 @@ def test_whole_pictures_and_gradients_are_the_native_ones(backend: Backend, name
 
 
 @pytest.mark.parametrize("name", ["degree-3", "black", "clamped-colours", "near", "tiles", "clones"])
-def test_on_the_processor_gradients_are_those_of_the_float64_twin(name: str) -> None:
+def test_emulated_gradients_are_those_of_the_float64_twin(name: str) -> None:
     """What is trained in place is drawn; the tolerances are the native kernel's."""
-    case, kernel = cases.CASES[name](), CudaKernel(device="cpu", gsplat=StandIn())
+    case, kernel = cases.CASES[name](), emulated_kernel()
     planes = cases.cotangents(case, cases.textbook(case).doubtful)
     optimiser = kernel.optimiser(case.splats)
     kernel.forward(optimiser, case.camera, case.background, depth=True)
@@ -141,14 +130,6 @@ def test_what_cannot_be_drawn_and_zero_quaternions_do_no_harm(backend: Backend) 
         assert (getattr(gradients, name)[5:7] == 0).all(), name
 
 
-def test_the_difference_of_gsplats_largest_alpha_is_as_stated() -> None:
-    # Two opaque layers: 0.999 instead of 0.99 lets 0.009 less through of what is behind.
-    case = cases.CASES["stack"]()
-    native = CpuKernel(1).forward(case.splats, case.camera).rgb
-    picture = CudaKernel(device="cpu", gsplat=StandIn(alpha_max=0.999)).forward(case.splats, case.camera).rgb
-    assert 1e-3 < np.abs(picture - native).max() <= 0.009 * native.max() + 2e-5
-
-
 @pytest.mark.slow
 def test_a_whole_encode_runs_on_it(backend: Backend, encode: Any, moving_rig: Path, tiny_settings: Any) -> None:
     """Keyframe and a later frame, cache included. Roundings grow as training goes on (seen: 0.01 dB)."""
@@ -164,39 +145,7 @@ def test_a_whole_encode_runs_on_it(backend: Backend, encode: Any, moving_rig: Pa
         assert ours.training_psnr == pytest.approx(theirs.training_psnr, abs=0.1)
 
 
-def test_signatures_with_gsplat_installed() -> None:
-    """The stand-in takes nothing that the installed gsplat does not take in the same place or by the same name."""
-    gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed")
-    names = "fully_fused_projection", "spherical_harmonics", "isect_tiles", "isect_offset_encode", "rasterize_to_pixels"
-    for name in names:
-        theirs = [p.replace("n_cameras", "n_images") for p in inspect.signature(getattr(gsplat, name)).parameters]
-        for index, (ours, about) in enumerate(inspect.signature(getattr(StandIn(), name)).parameters.items()):
-            assert ours in theirs if about.default is not about.empty else theirs[index] == ours, f"{name}: {ours}"
-
-
-@pytest.mark.parametrize("name", ["degree-3", "near", "tiles", "around"])
-def test_projections_and_lists_of_the_installed_gsplats_own_twin_serve_as_well(name: str) -> None:
-    """gsplat's readable twin of its kernels, in float32 on the CPU: its conventions, not our reading of them."""
-    twin = pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat is not installed")
-
-    def project(means: Tensor, _: None, quats: Tensor, scales: Tensor, *camera: Any, **options: Any) -> Any:
-        covariances, _ = twin._quat_scale_to_covar_preci(quats, scales, True, False)
-        del options["packed"], options["opacities"]
-        return twin._fully_fused_projection(means, covariances, *camera, **options)
-
-    functions = StandIn()
-    functions.fully_fused_projection = project  # type: ignore[method-assign]
-    functions.isect_tiles = twin._isect_tiles  # type: ignore[method-assign]
-    functions.isect_offset_encode = twin._isect_offset_encode  # type: ignore[method-assign]
-    case, kernels = cases.CASES[name](), (CpuKernel(1), CudaKernel(device="cpu", gsplat=functions))
-    cotangent = cases.cotangents(case, cases.textbook(case).doubtful)[0]
-    pictures = [kernel.forward(case.splats, case.camera).rgb for kernel in kernels]
-    assert_same_picture(pictures[1], pictures[0], 1e-5)
-    gradients = [kernel.backward(case.splats, cotangent) for kernel in kernels]
-    assert_same_gradients(gradients[1], gradients[0], 3e-5)
-
-
-def test_the_device_is_chosen_or_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_device_is_chosen_or_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("auto", "cpu"):
         assert isinstance(training_kernel(name, 1), CpuKernel)
     with pytest.raises(UsageError, match="`device` tpu: choose from auto, cpu, cuda"):
@@ -210,15 +159,9 @@ def test_the_device_is_chosen_or_what_is_missing_is_named(monkeypatch: pytest.Mo
     with pytest.raises(UsageError, match=r"`device` cuda: torch .* finds no CUDA device; install"):
         training_kernel("cuda")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"):
-        monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(UsageError, match="`device` cuda: gsplat cannot be imported"):
+    monkeypatch.setattr(torch, "__file__", str(tmp_path / "__init__.py"))
+    with pytest.raises(UsageError, match=r"`device` cuda: torch .* brings no compiler for CUDA"):
         training_kernel("cuda")
-    found = {name: ModuleType(name) for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend")}
-    found["gsplat.cuda._backend"]._C = None  # type: ignore[attr-defined]
-    for name, module in found.items():
-        monkeypatch.setitem(sys.modules, name, module)
-    with pytest.raises(UsageError, match="`device` cuda: gsplat has no compiled kernels"):
-        training_kernel("cuda")
-    found["gsplat.cuda._backend"]._C = object()  # type: ignore[attr-defined]
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "libcaffe2_nvrtc.so").touch()
     assert cuda.missing() is None

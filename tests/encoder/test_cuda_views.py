@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import rasterise_cases as cases
 from cuda_cases import (
@@ -15,17 +15,16 @@ from cuda_cases import (
     RATES,
     THRESHOLD,
     Backend,
-    StandIn,
     assert_same_gradients,
     assert_same_picture,
+    emulated_kernel,
     small_scene,
 )
 from decogs.encoder.backends import FixedView
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.backends.cuda import cuda_kernel, device, fixed_view, projection
+from decogs.encoder.backends.cuda import cuda_kernel, device, fixed_view, photometric
 from decogs.encoder.backends.cuda import gradients as gradients_module
 from decogs.encoder.backends.cuda import optimiser as optimiser_module
-from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
 
 
@@ -38,24 +37,11 @@ class Unread(TorchDispatchMode):
         return function(*args, **(kwargs or {}))
 
 
-def exempt(stand_in: StandIn) -> Any:
-    """gsplat's functions wait as they like."""
-
-    def unwatched(name: str) -> Any:
-        def call(*given: Any, **named: Any) -> Any:
-            with _disable_current_modes():
-                return getattr(stand_in, name)(*given, **named)
-
-        return call
-
-    return type("Exempt", (), {"__getattr__": lambda _, name: unwatched(name)})()
-
-
 def test_a_step_reads_nothing_and_brings_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """After a first one, which brings the targets. Reading is `device.read`, bringing `device.upload`, and torch's own
     ways to wait."""
     scene, rows = small_scene(4), np.arange(20)
-    kernel = CudaKernel(device="cpu", gsplat=exempt(StandIn()))
+    kernel = emulated_kernel()
     target, gathered = np.zeros((3, 61, 83), np.float32), [kernel.view_gradients(n) for n in (len(scene), len(rows))]
     view, whole, part = kernel.fixed_view(CAMERA), kernel.optimiser(scene), kernel.optimiser(take_splats(scene, rows))
     part.freeze({"means": np.arange(60).reshape(20, 3) % 2 == 0})
@@ -78,7 +64,7 @@ def test_a_step_reads_nothing_and_brings_nothing(monkeypatch: pytest.MonkeyPatch
 
     step()
     with monkeypatch.context() as watched, Unread():
-        for module in (device, cuda_kernel, fixed_view, gradients_module, optimiser_module, projection):
+        for module in (device, cuda_kernel, fixed_view, gradients_module, optimiser_module, photometric):
             for name in ("read", "read_floats", "upload"):
                 watched.setattr(module, name, None, raising=False)
         step()
@@ -206,9 +192,9 @@ def assert_same_steps(views: list[FixedView], rng: np.random.Generator, backend:
     assert_same_gradients(gradients[1], gradients[0], backend.gradient)
 
 
-def test_only_tiles_that_change_are_drawn_again() -> None:
-    stand_in, scene = StandIn(), small_scene(1)
-    view = CudaKernel(device="cpu", gsplat=stand_in).fixed_view(CAMERA)
+def test_only_tiles_that_change_are_drawn_again(backend: Backend) -> None:
+    scene = small_scene(1)
+    view = backend.make().fixed_view(CAMERA)
     view.set_scene(scene)
     view.redraw()
     rows = np.array([17], np.int64)
@@ -216,11 +202,35 @@ def test_only_tiles_that_change_are_drawn_again() -> None:
     before, moved = view.met.size, take_splats(scene, rows)
     moved.means[:, 0] += 1.0
     for expected in ("where it was and is", "where it is"):
-        stand_in.tiles_drawn = 0
+        view._planes.rgb.fill_(np.nan)
         view.draw(moved, rows)
-        assert 0 < stand_in.tiles_drawn < before, expected
-        before = stand_in.tiles_drawn
+        drawn = np.isfinite(view.rgb[0, ::16, ::16]).sum()
+        assert 0 < drawn < before, expected
+        before = drawn
     assert before == view.met.sum()
+
+
+def test_the_order_in_which_threads_come_changes_no_bit() -> None:
+    """Nor, on a GPU, does time: the same seed gives the same bytes there."""
+    scene, rows, target = small_scene(6), np.arange(20, 70), np.random.default_rng(1).random((3, 61, 83), np.float32)
+    found = []
+    for backwards in (False, True):
+        kernel = emulated_kernel(backwards=backwards)
+        optimiser, view = kernel.optimiser(take_splats(scene, rows)), kernel.fixed_view(CAMERA)
+        view.set_scene(scene)
+        values = [view.redraw(target[0] > 0.5)]
+        view.detach(rows)
+        for _ in range(2):
+            view.draw(optimiser, rows)
+            values += [view.rgb, np.array(view.loss(target, l1_scale=0.8, ssim_scale=0.2).sums)]
+            gradients = view.backward()
+            values += vars(gradients.host()).values()
+            optimiser.step(gradients, RATES, max_stretch=4.0)
+        kernel.forward(optimiser, CAMERA)
+        values += vars(kernel.backward(optimiser, target).host()).values()
+        found.append(values)
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 @pytest.mark.parametrize("detached", [np.arange(30), np.arange(30, 60)])
@@ -236,12 +246,11 @@ def test_equal_depths_keep_the_scenes_order(backend: Backend, detached: np.ndarr
 
 def test_the_next_frame_brings_its_own_targets(backend: Backend) -> None:
     scene, rows = small_scene(4), np.arange(20)
-    view = backend.make().fixed_view(CAMERA)
+    view, values = backend.make().fixed_view(CAMERA), []
     view.set_scene(scene)
-    target, values = np.zeros((3, 61, 83), np.float32), []
     for level in (0.0, 0.5):
-        target[:] = level  # the same array, as a reader that has only one would bring
-        view.redraw()
+        target = np.full((3, 61, 83), level, np.float32)  # may lie where the last one lay
+        view.refresh()
         view.detach(rows)
         view.draw(take_splats(scene, rows), rows)
         values.append(view.loss(target, l1_scale=1.0, ssim_scale=0.0).total)
@@ -252,7 +261,7 @@ def test_the_next_frame_brings_its_own_targets(backend: Backend) -> None:
 
 
 def test_misuse_is_refused_as_by_the_native_view() -> None:
-    kernel, scene = CudaKernel(device="cpu", gsplat=StandIn()), small_scene(2)
+    kernel, scene = emulated_kernel(), small_scene(2)
     view = kernel.fixed_view(CAMERA)
     view.set_scene(scene)
     with pytest.raises(ValueError, match="ascend"):

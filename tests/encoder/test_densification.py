@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from cuda_cases import emulated_kernel
 from decogs.encoder.backends import TrainingKernel, gradients_like
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
 from decogs.encoder.training.densification import grow, strongest
 from decogs.formats.geometry.rotations import rotation_matrices
 from decogs.formats.splats import Splats
@@ -89,8 +91,9 @@ def test_strongest_keeps_to_threshold_eligibility_and_room() -> None:
         assert len(strongest(gradients, eligible, 0.0, room)) == 0
 
 
-@pytest.mark.parametrize("kernel", [CpuKernel(1), CudaKernel(device="cpu", gsplat=object())])
-def test_view_gradients_are_means_over_the_views_that_drew_the_gaussian(kernel: TrainingKernel) -> None:
+@pytest.mark.parametrize("make", [CpuKernel, emulated_kernel])
+def test_view_gradients_are_means_over_the_views_that_drew_the_gaussian(make: Callable[[], TrainingKernel]) -> None:
+    kernel = make()
     gathered = kernel.view_gradients(3)
     for lengths, size in (([2e-3, 0, 0], (64, 48)), ([8e-3, 2e-3, 0], (48, 64))):
         gradients = gradients_like(some_splats(3, sigma=1.0))

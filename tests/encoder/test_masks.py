@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -263,7 +264,7 @@ def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
         black = np.zeros((3, 8, 8), np.float32)
         changes = memory.pixel_changes([now, now, black], settings)
         assert not any(change.raw.any() for change in changes)
-        assert is_missed(memory, [now, now, black], [shown] * 3, changes) == found
+        assert is_missed(memory, [now, now, black], partial(list, [shown] * 3), changes) == found
         assert [bool(mask.dilated.all()) for mask in full_masks(changes)] == [True, True, False]
 
 
@@ -272,7 +273,7 @@ def test_it_is_one_of_most_views(changed: int, found: bool) -> None:
     before = np.full((3, 8, 8), 0.4, np.float32)
     memory, now = MaskMemory.begin([before] * 3), [before + 0.3] * changed + [before] * (3 - changed)
     changes = memory.pixel_changes(now, MaskSettings(threshold=200.0))
-    assert is_missed(memory, now, [before] * 3, changes) == found
+    assert is_missed(memory, now, lambda: [before] * 3, changes) == found
 
 
 FLAT = np.full((3, 8, 8), 0.5, np.float32)

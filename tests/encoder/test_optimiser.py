@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cuda_cases import emulated_kernel
 from decogs.encoder.backends import ATTRIBUTES, Optimiser, SplatGradients, TrainingKernel
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.formats.splats import Splats, take_splats
 
@@ -18,9 +18,9 @@ RATES = LearningRates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3)
 COUNT = 40
 
 
-@pytest.fixture(params=["native", "torch"])
+@pytest.fixture(params=["native", "emulated"])
 def kernel(request: pytest.FixtureRequest) -> TrainingKernel:
-    return CpuKernel(2) if request.param == "native" else CudaKernel(device="cpu", gsplat=object())
+    return CpuKernel(2) if request.param == "native" else emulated_kernel()
 
 
 def some_splats(seed: int, count: int = COUNT) -> Splats:
@@ -222,7 +222,7 @@ def test_no_backend_lets_gaussians_grow_longer_than_the_limit() -> None:
     start, rates = some_splats(1), LearningRates(0, 0.5, 0, 0, 0, 0)
     start.log_scales[:20] *= np.float32(0.1)
     sizes, free = [], kernel_free(start, rates)
-    for kernel in (CpuKernel(1), CudaKernel(device="cpu", gsplat=object())):
+    for kernel in (CpuKernel(1), emulated_kernel()):
         optimiser: Optimiser = kernel.optimiser(start)
         for seed in (2, 3):
             optimiser.step(gradients_of(some_splats(seed)), rates, max_stretch=2.0)
@@ -238,14 +238,14 @@ def test_no_backend_lets_gaussians_grow_longer_than_the_limit() -> None:
 
 def kernel_free(start: Splats, rates: LearningRates) -> np.ndarray:
     """Sizes after the same steps without a limit."""
-    optimiser = CudaKernel(device="cpu", gsplat=object()).optimiser(start)
+    optimiser = emulated_kernel().optimiser(start)
     for seed in (2, 3):
         optimiser.step(gradients_of(some_splats(seed)), rates)
     return optimiser.splats.log_scales
 
 
 def test_values_read_from_a_device_are_copies_that_nobody_writes_by_mistake() -> None:
-    optimiser = CudaKernel(device="cpu", gsplat=object()).optimiser(some_splats(1))
+    optimiser = emulated_kernel().optimiser(some_splats(1))
     read = optimiser.splats
     with pytest.raises(ValueError, match="read-only"):
         read.means[:] = 0

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from decogs.rig.parallel import ahead, side_by_side
+from decogs.rig.parallel import Ahead, side_by_side
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -27,12 +27,14 @@ def test_the_next_item_is_made_while_one_is_worked_on_and_no_more() -> None:
                 second.set()
             yield n
 
-    coming = ahead(items())
+    coming = Ahead(items())
     assert next(coming) == 0
     assert second.wait(10)
     assert made == [0, 1]
+    assert coming.peek() == [1]
     assert list(coming) == [1, 2, 3]
-    assert list(ahead([])) == []
+    assert coming.peek() == []
+    assert list(Ahead([])) == []
 
 
 def test_what_fails_ahead_fails_when_its_turn_comes() -> None:
@@ -40,7 +42,7 @@ def test_what_fails_ahead_fails_when_its_turn_comes() -> None:
         yield 1
         raise OSError("no second one")
 
-    coming = ahead(items())
+    coming = Ahead(items())
     assert next(coming) == 1
     with pytest.raises(OSError, match="no second one"):
         next(coming)
@@ -49,7 +51,7 @@ def test_what_fails_ahead_fails_when_its_turn_comes() -> None:
 def test_who_stops_early_leaves_no_thread_behind() -> None:
     """Its thread is not waited for (see below), so it ends soon after."""
     before = set(threading.enumerate())
-    coming = ahead(iter(range(10)))
+    coming = Ahead(iter(range(10)))
     next(coming)
     (made,) = set(threading.enumerate()) - before
     coming.close()
@@ -59,11 +61,11 @@ def test_who_stops_early_leaves_no_thread_behind() -> None:
 
 def test_closing_joins_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     """The garbage collector closes what was left half way, also where a join would wait for its own lock."""
-    coming = ahead(range(3))
+    coming = Ahead(range(3))
     next(coming)
 
     def joined(*_: object) -> None:
         raise AssertionError("joins a thread")
 
     monkeypatch.setattr(threading.Thread, "join", joined)
-    coming.close()  # type: ignore[attr-defined]
+    coming.close()

@@ -46,6 +46,7 @@ class CpuKernel:
     """``TrainingKernel`` with its thread pool and buffers; results do not depend on the number of threads."""
 
     _cotangent: FloatArray | None
+    leaves_processor_idle = False
 
     def __init__(self, threads: int = 0, background: Colour = BLACK) -> None:
         self.background = background
@@ -135,6 +136,9 @@ class CpuKernel:
             self._picture.rgb, target, l1_scale=l1_scale, ssim_scale=ssim_scale, l1_weight=l1_weight, focus=focus
         )
         return value
+
+    def bring(self, *arrays: FloatArray | None) -> None:
+        pass  # They are there.
 
     def loss(
         self,

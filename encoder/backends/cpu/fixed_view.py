@@ -77,19 +77,21 @@ class CpuFixedView:
         self._check(self._library.decogs_view_set_scene(self._kernel.handle, self._handle, ctypes.byref(placed)))
         self._detached = np.zeros(len(scene), np.bool_)
 
+    def refresh(self) -> None:
+        self._loaded()
+        self._redraw(None, None)
+
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
         check_marks(marks, self.camera)
         weights = np.empty((2, len(self._loaded())), np.float32)
-        planes = self._planes(depth=True)
-        self._library.decogs_view_redraw(
-            self._kernel.handle,
-            self._handle,
-            address(marks),
-            ctypes.byref(planes),
-            address(weights),
-            weights.shape[1],
-        )
+        self._redraw(marks, weights)
         return weights
+
+    def _redraw(self, marks: NDArray[np.bool_] | None, weights: FloatArray | None) -> None:
+        planes, count = self._planes(depth=True), 0 if weights is None else weights.shape[1]
+        self._library.decogs_view_redraw(
+            self._kernel.handle, self._handle, address(marks), ctypes.byref(planes), address(weights), count
+        )
 
     def detach(self, rows: RowArray) -> None:
         detached = self._loaded()
@@ -168,6 +170,12 @@ class CpuFixedView:
         )
         self._check(status)
         self._detached = np.zeros(len(scene), np.bool_)
+
+    def squared_error(self, picture: FloatArray, counted: FloatArray | None = None) -> float:
+        square = (np.clip(self._rgb, 0, 1) - picture) ** 2
+        if counted is not None:
+            square = square * counted
+        return float(square.sum(dtype=np.float64))
 
     def centres(self) -> FloatArray:
         centres = np.empty((len(self._loaded()), 2), np.float32)

@@ -20,14 +20,25 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 
+def on_host(like: Tensor) -> Tensor:
+    """Room in the host's memory, of pages that a device reads and writes by itself, for a tensor."""
+    return torch.empty(like.shape, dtype=like.dtype, pin_memory=like.device.type == "cuda")
+
+
 def upload(values: NDArray[Any], device: torch.device) -> Tensor:
-    """A copy on the device, never a view of the host's memory."""
-    return torch.tensor(values, device=device)
+    """A copy on the device, never a view of the host's memory; nothing waits for it."""
+    if device.type != "cuda":
+        return torch.tensor(values, device=device)
+    there = torch.empty(values.shape, dtype=torch.from_numpy(np.empty(0, values.dtype)).dtype, device=device)
+    staged = on_host(there)
+    staged.numpy()[...] = values
+    return there.copy_(staged, non_blocking=True)
 
 
 def read(values: Tensor) -> NDArray[Any]:
     """A copy in the host's memory, C-contiguous."""
-    return np.asarray(values.detach().contiguous().to("cpu", copy=True).numpy())
+    values = values.detach().contiguous()
+    return np.asarray(on_host(values).copy_(values).numpy())
 
 
 def read_floats(values: Tensor) -> FloatArray:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import math
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -11,21 +15,28 @@ from decogs.formats.cameras import Camera
 
 from ..protocol import ATTRIBUTES, Gradients, SplatGradients
 from .device import read, read_floats, upload
+from .module import THREADS, Kernels
 
 NAMES = (*ATTRIBUTES, "view")
 
 
 class DeviceGradients:
-    """``Gradients`` as tensors by attribute, and of the projected centres as ``view``."""
+    """``Gradients`` as tensors by attribute, and of the projected centres as ``view``: parts of one ``block``."""
 
-    def __init__(self, tensors: dict[str, Tensor]) -> None:
-        self.tensors = tensors
+    def __init__(self, block: Tensor, shapes: Sequence[Sequence[int]]) -> None:
+        self._block, self._sizes = block, [math.prod(shape) for shape in shapes]
+        parts = zip(NAMES, torch.split(block, self._sizes), shapes, strict=True)
+        self.tensors = {name: part.view(*shape) for name, part, shape in parts}
+
+    @classmethod
+    def room_for(cls, stored: Sequence[Tensor]) -> DeviceGradients:
+        """Room for the gradients of stored values, in the order of ATTRIBUTES."""
+        shapes = [*(tensor.shape for tensor in stored), stored[0].shape[:1]]
+        return cls(torch.empty(sum(map(math.prod, shapes)), device=stored[0].device), shapes)
 
     def host(self) -> SplatGradients:
-        values = [self.tensors[name] for name in NAMES]
-        block = read_floats(torch.cat([each.flatten() for each in values]))  # they travel together
-        parts = np.split(block, np.cumsum([each.numel() for each in values])[:-1])
-        return SplatGradients(*(part.reshape(each.shape) for part, each in zip(parts, values, strict=True)))
+        parts = np.split(read_floats(self._block), np.cumsum(self._sizes)[:-1])
+        return SplatGradients(*(part.reshape(self.tensors[n].shape) for n, part in zip(NAMES, parts, strict=True)))
 
     def put_into(self, out: SplatGradients) -> SplatGradients:
         """The same in the host's arrays ``out``."""
@@ -46,15 +57,17 @@ def tensors_of(gradients: Gradients, device: torch.device) -> dict[str, Tensor]:
 class CudaViewGradients:
     """``ViewGradients`` on a torch ``device``."""
 
-    def __init__(self, count: int, device: torch.device) -> None:
-        self._device = device
+    def __init__(self, count: int, kernels: Kernels, device: torch.device) -> None:
+        self._kernels, self._device = kernels, device
         self._sum = torch.zeros(count, dtype=torch.float64, device=device)
         self._views = torch.zeros(count, dtype=torch.int64, device=device)
 
     def add(self, gradients: Gradients, camera: Camera, emphasis: float = 1.0) -> None:
-        view = tensors_of(gradients, self._device)["view"] / emphasis
-        self._sum += view.double() * (max(camera.width, camera.height) / 2)
-        self._views += view > 0
+        view = tensors_of(gradients, self._device)["view"]
+        half_size = ctypes.c_double(max(camera.width, camera.height) / 2)
+        if len(view):
+            arguments = (view, len(view), float(emphasis), half_size, self._sum, self._views)
+            self._kernels.launch("add_view", (-(-len(view) // THREADS),), *arguments)
 
     def mean(self) -> NDArray[np.float64]:
         return read(self._sum / self._views.clamp(min=1))

@@ -1,11 +1,12 @@
 """Adam on the device: values, moments and gradients stay there, and a step waits for nothing.
 
-Chosen: the formula of kernel/adam.h in a few launches for all attributes together. Rejected: gsplat's ``SelectiveAdam``
-(no bias correction); torch.optim.Adam (its parameters have no rows that come and go).
+Chosen: the formula of cpu/kernel/adam.h in one launch for all attributes together. Rejected: torch.optim.Adam (its
+parameters have no rows that come and go).
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable, Mapping
 
@@ -21,15 +22,36 @@ from ...settings.optimiser import LearningRates
 from ..protocol import ATTRIBUTES, Gradients
 from .device import read_floats, upload
 from .gradients import tensors_of
+from .module import THREADS, Kernels
 
 Tensors = dict[str, Tensor]
+
+_EPSILON = 1e-15
+"""As the native optimiser's."""
+
+
+class _Trained(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("value", "gradient", "first", "second", "frozen", "kept")),
+        ("columns", ctypes.c_int),
+        ("few", ctypes.c_int),
+        ("rate", ctypes.c_float),
+        ("few_rate", ctypes.c_float),
+    ]
+
+
+class _AdamStep(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_float) for name in ("beta1", "beta2", "epsilon", "first_scale", "second_root", "longest")),
+        ("sizes", ctypes.c_int),
+    ]
 
 
 class CudaOptimiser:
     """``Optimiser`` on a torch ``device``; ``values`` are its tensors by attribute."""
 
-    def __init__(self, splats: Splats, device: torch.device, *, beta1: float, beta2: float) -> None:
-        self._device = device
+    def __init__(self, splats: Splats, kernels: Kernels, device: torch.device, *, beta1: float, beta2: float) -> None:
+        self._kernels, self._device = kernels, device
         # As the native kernel rounds them; corrections from the same numbers keep the first step's size exact.
         self._beta1, self._beta2 = float(np.float32(beta1)), float(np.float32(beta2))
         self.values = _uploaded(splats, device)
@@ -49,7 +71,6 @@ class CudaOptimiser:
                 array.flags.writeable = False  # what somebody writes there would be lost
         return self._read
 
-    @torch.no_grad()
     def step(
         self,
         gradients: Gradients,
@@ -58,29 +79,31 @@ class CudaOptimiser:
         max_stretch: float = 0.0,
     ) -> None:
         self._steps, self._read = self._steps + 1, None
-        before = self.values["log_scales"].clone() if max_stretch and rates.log_scales else None
-        found, rate_of = tensors_of(gradients, self._device), _rates_by_part(rates)
-        of = [[_part(each, name) for name in rate_of] for each in (self.values, self._first, self._second, found)]
-        self._adam(of[0], of[1], of[2], of[3], [*rate_of.values()])
-        for name, (frozen, values) in self._frozen.items():
-            self.values[name].copy_(torch.where(frozen, values, self.values[name]))
-        if before is not None:
-            limit_stretch(self.values["log_scales"], before, max_stretch)
-
-    def _adam(
-        self, values: list[Tensor], first: list[Tensor], second: list[Tensor], by: list[Tensor], rates: list[float]
-    ) -> None:
-        """Kingma 2015, algorithm 1, in place on values, first and second moments, for gradients ``by``."""
-        if not rates:
+        if not len(self):
             return
-        torch._foreach_mul_(first, self._beta1)
-        torch._foreach_add_(first, by, alpha=1 - self._beta1)
-        torch._foreach_mul_(second, self._beta2)
-        torch._foreach_addcmul_(second, by, by, value=1 - self._beta2)
-        root = torch._foreach_sqrt(second)
-        torch._foreach_mul_(root, 1 / math.sqrt(1 - self._beta2**self._steps))
-        torch._foreach_add_(root, _EPSILON)
-        torch._foreach_addcdiv_(values, first, root, [-rate / (1 - self._beta1**self._steps) for rate in rates])
+        found = tensors_of(gradients, self._device)
+        step = _AdamStep(
+            self._beta1,
+            self._beta2,
+            _EPSILON,
+            1 / (1 - self._beta1**self._steps),
+            1 / math.sqrt(1 - self._beta2**self._steps),
+            math.log(max_stretch) if max_stretch else -1.0,
+            ATTRIBUTES.index("log_scales"),
+        )
+        blocks = -(-len(self) // THREADS), len(ATTRIBUTES)
+        trained = [self._trained(name, found, rates) for name in ATTRIBUTES]
+        self._kernels.launch("adam", blocks, *trained, len(self), step)
+
+    def _trained(self, name: str, found: Tensors, rates: LearningRates) -> _Trained:
+        """An attribute for the kernel, null where its rate is 0."""
+        rate, few_rate = (rates.sh_rest, rates.sh_dc) if name == "sh" else (getattr(rates, name), 0.0)
+        if not (rate or few_rate):
+            return _Trained()
+        pointers = [each[name].data_ptr() for each in (self.values, found, self._first, self._second)]
+        frozen, kept = (each.data_ptr() for each in self._frozen[name]) if name in self._frozen else (None, None)
+        columns = self.values[name][0].numel()
+        return _Trained(*pointers, frozen, kept, columns, 3 if name == "sh" else 0, rate, few_rate)
 
     @torch.no_grad()
     def put(self, rows: RowArray | None = None, **values: FloatArray) -> None:
@@ -107,7 +130,7 @@ class CudaOptimiser:
         self._replace(lambda mine, more: torch.cat([mine, more]), new)
 
     def copy(self) -> CudaOptimiser:
-        other = CudaOptimiser(self.splats, self._device, beta1=self._beta1, beta2=self._beta2)
+        other = CudaOptimiser(self.splats, self._kernels, self._device, beta1=self._beta1, beta2=self._beta2)
         other._steps = self._steps
         other._first, other._second = ({n: t.clone() for n, t in each.items()} for each in (self._first, self._second))
         return other
@@ -127,37 +150,6 @@ class CudaOptimiser:
             for mine, other in ((self.values, new), (self._first, zeros), (self._second, zeros))
         )
         self._frozen, self._read = {}, None
-
-
-_EPSILON = 1e-15
-"""As the native optimiser's."""
-
-
-def _rates_by_part(rates: LearningRates) -> dict[str, float]:
-    """The attributes whose rate is not 0, and that rate; ``sh`` in two parts, which have two."""
-    named = {name: getattr(rates, name) for name in ATTRIBUTES if name != "sh" and getattr(rates, name)}
-    if rates.sh_dc or rates.sh_rest:
-        named |= {"sh_dc": rates.sh_dc, "sh_rest": rates.sh_rest}
-    return named
-
-
-def _part(values: Tensors, name: str) -> Tensor:
-    if name in ("sh_dc", "sh_rest"):
-        return values["sh"][:, :1] if name == "sh_dc" else values["sh"][:, 1:]
-    return values[name]
-
-
-def stretches(log_scales: Tensor) -> Tensor:
-    """Logarithm (N,) of the largest over the middle size of every Gaussian; ``log_scales`` (N, 3)."""
-    ordered = log_scales.sort(dim=1).values
-    return ordered[:, 2] - ordered[:, 1]
-
-
-def limit_stretch(log_scales: Tensor, before: Tensor, max_stretch: float) -> None:
-    """``cpu.stretch.limit_stretch`` of all rows: which ones are too long, the host need not know."""
-    allowed = stretches(before).clamp(min=math.log(max_stretch))
-    excess = (stretches(log_scales) - allowed).clamp(min=0)
-    log_scales.scatter_add_(1, log_scales.argmax(dim=1, keepdim=True), -excess[:, None])
 
 
 def _uploaded(splats: Splats, device: torch.device) -> Tensors:

@@ -162,6 +162,18 @@ def likely_points(view: SweepView, xyz: NDArray[np.float64], depths: DepthRange 
     column = np.clip((u[visible] + 0.5) / view.width * columns, 0, columns - 1).astype(np.int64)
     row = np.clip((v[visible] + 0.5) / view.height * rows, 0, rows - 1).astype(np.int64)
     cell, depth = row * columns + column, depth[visible]
-    everywhere = float(np.median(depth))
-    likely = np.array([np.median(depth[cell == k]) if (cell == k).any() else everywhere for k in range(len(rays))])
+    likely = _medians(depth, cell, len(rays))
+    likely[np.isnan(likely)] = np.median(depth)
     return np.asarray(view.centre + rays * likely[:, None])
+
+
+def _medians(values: NDArray[np.float64], cell: NDArray[np.int64], cells: int) -> NDArray[np.float64]:
+    """The median of the values in each of so many cells, NaN where there is none."""
+    order = np.lexsort((values, cell))
+    ordered, numbers = values[order], cell[order]
+    begin, end = (np.searchsorted(numbers, np.arange(cells), side) for side in ("left", "right"))
+    filled = np.flatnonzero(end > begin)
+    medians = np.full(cells, np.nan)
+    last = end[filled] + begin[filled]
+    medians[filled] = (ordered[(last - 1) // 2] + ordered[last // 2]) / 2
+    return medians

@@ -83,7 +83,7 @@ def test_motion_enables_all_that_an_encode_has_and_light_one_effect(
     before = planes(texture)
     for picture, effects in ((moved, settings.effects), (lit, ("appearance_change",))):
         now = planes(np.clip(picture, 0, 255).astype(np.uint8))
-        found = enabled_effects(settings, [now], [before], [masked(now, before)])
+        found = enabled_effects(settings, moving_regions([now], [before], [masked(now, before)]))
         assert found.effects == effects
         assert (found.settings == settings) == (found.moving is not None) == ("motion" in effects)
         assert (found.settings.frame.rates.means > 0) == ("motion" in effects)
