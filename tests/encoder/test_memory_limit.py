@@ -100,8 +100,8 @@ def test_the_estimate_grows_with_all_that_takes_memory(moving_rig: Path, tiny_se
 @pytest.fixture
 def used(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """A 1 for every time that frames are read ahead."""
-    found, ahead = [], stream_encoder.ahead
-    monkeypatch.setattr(stream_encoder, "ahead", lambda frames: found.append(1) or ahead(frames))
+    found, ahead = [], stream_encoder.Ahead
+    monkeypatch.setattr(stream_encoder, "Ahead", lambda frames: found.append(1) or ahead(frames))
     return found
 
 
