@@ -17,6 +17,7 @@ from ..settings.encode import EncodeSettings
 from ..training.method import FrameMethod
 from ..training.schedule import OnLoss, StoppingRule
 from .cross_fade import fade_cameras
+from .segment_starts import SegmentStarts
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class Context:
     """The rig, the settings and the views in which frames are trained and drawn.
 
     ``views``: the training views; ``fade_views``: where two closed segments are compared. Both draw the
-    scene that is asked for. ``corrector``: of the cameras whose drift is compensated, or None. ``on_loss`` follows
-    every training step.
+    scene that is asked for. ``corrector``: of the cameras whose drift is compensated, or None. ``starts``: those of
+    closed segments after a cut. ``on_loss`` follows every training step.
     """
 
     ingest: Ingest
@@ -35,6 +36,7 @@ class Context:
     fade_views: SceneViews
     method: FrameMethod
     corrector: Corrector | None
+    starts: SegmentStarts
     seed: int
     threads: int
     on_loss: OnLoss | None = None
@@ -64,6 +66,7 @@ class Context:
             SceneViews(kernel, lambda: fade_cameras(cameras())),
             method_of(settings),
             corrector_of(ingest.views, settings.corrections),
+            SegmentStarts(ingest, settings.segment),
             seed,
             threads,
             on_loss,

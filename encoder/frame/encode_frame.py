@@ -18,6 +18,7 @@ from decogs.formats.container import Packet, PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats
 
+from ..change.masks import usable_views
 from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
@@ -31,8 +32,9 @@ from .commit import Outcome, commit
 from .context import Context
 from .cross_fade import CrossFade, cross_fade
 from .events import Event, Kind, PendingFrame, what_happened
-from .memory import Memory, new_memory, restart_at_segment
+from .memory import Memory, new_memory, restart_at_segment, restart_from
 from .plan import FramePlan, Selection, find_selection, plan_frame
+from .segment_starts import SegmentStart
 from .train import train_frame
 
 
@@ -86,23 +88,48 @@ def encode_frame(context: Context, scene: Scene, memory: Memory, task: Task) -> 
 
 def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple[PendingFrame, Event]:
     """Steps 2 and 3: the compensated frame, and what happened in it."""
-    watch, packet = task.watch, task.packet
-    recorded = match_colours(task.recorded, context.ingest.views, scene.header.camera_colours)
-    index = recorded.index - scene.header.first_frame
-    scene, memory, is_start = restart_at_segment(context, scene, memory, index, watch)
-    recorded = _without_lost(context, recorded, memory)
-    if packet is not None:
-        _, corrections = read_back(packet, scene.header)
-    else:
-        render = context.renderer(scene.splats)
-        corrections = find_corrections(recorded, context.corrector, memory.corrections, render, watch)
-    frame = PendingFrame(recorded, compensate(recorded, context.corrector, corrections), corrections, is_start)
-    if packet is not None and scene.begins_anew(packet):
+    index = task.recorded.index - scene.header.first_frame
+    scene, memory, is_start = restart_at_segment(context, scene, memory, index, task.watch)
+    frame = _pending(context, scene, memory, task, restarted=is_start)
+    if task.packet is not None and scene.begins_anew(task.packet):
         return frame, Event(Kind.CUT, scene, memory, [])
-    event = what_happened(context, scene, memory, frame, watch)
-    if event.kind is Kind.CUT and packet is not None:
+    event = what_happened(context, scene, memory, frame, task.watch)
+    if is_start and event.kind is Kind.CUT and (start := _start_after_cut(context, event, task)) is not None:
+        scene, memory = restart_from(context, scene, memory, start, index, task.watch)
+        frame = _pending(context, scene, memory, task, restarted=True)
+        event = what_happened(context, scene, memory, frame, task.watch)
+    # A keyframe needs every camera.
+    if event.kind is Kind.CUT and (task.packet is not None or len(usable_views(event.changes)) < len(event.changes)):
         event = replace(event, kind=Kind.CHANGE)
     return frame, event
+
+
+def _pending(context: Context, scene: Scene, memory: Memory, task: Task, *, restarted: bool) -> PendingFrame:
+    """The frame, compensated against the ``scene`` before it, or as its packet says."""
+    recorded = match_colours(task.recorded, context.ingest.views, scene.header.camera_colours)
+    recorded = _without_lost(context, recorded, memory)
+    if task.packet is not None:
+        _, corrections = read_back(task.packet, scene.header)
+    else:
+        render = context.renderer(scene.splats)
+        corrections = find_corrections(recorded, context.corrector, memory.corrections, render, task.watch)
+    return PendingFrame(recorded, compensate(recorded, context.corrector, corrections), corrections, restarted)
+
+
+def _start_after_cut(context: Context, event: Event, task: Task) -> SegmentStart | None:
+    """Where the closed segment starts that begins with the frame, another scene than the first keyframe's."""
+
+    first = event.memory.first
+    assert first is not None
+
+    def train(recorded: RigFrame) -> SegmentStart | None:
+        cut = replace(event, scene=replace(event.scene, state=first.state))
+        try:
+            return _start_of(encode_cut(context, cut, replace(task, recorded=recorded, packet=None)))
+        except TrainingError:
+            return None
+
+    return context.starts.before(task.recorded, first.frame, train)
 
 
 def _without_lost(context: Context, frame: RigFrame, memory: Memory) -> RigFrame:
@@ -134,7 +161,13 @@ def encode_change(context: Context, event: Event, frame: PendingFrame, task: Tas
 
 def encode_cut(context: Context, event: Event, task: Task) -> Encoded:
     """A keyframe of another scene than the one before it; raises TrainingError where none can be trained."""
-    before = event.scene
+    before, first_id = event.scene, -1
+    if context.settings.closed:
+        frame = task.recorded.index - before.header.first_frame
+        first_id = before.id_of_cut(frame, context.settings.segment)
+        before, kept = before.before_cut(frame, first_id), context.starts.kept(task.recorded.index)
+        if kept is not None and task.packet is None and before.state.next_id == first_id:
+            task = replace(task, packet=kept.packet)
     context.views.release()
     if task.packet is not None:
         key = before.after(task.packet).state
@@ -142,7 +175,15 @@ def encode_cut(context: Context, event: Event, task: Task) -> Encoded:
         recorded = match_colours(task.recorded, context.ingest.views, before.header.camera_colours)
         first = train_keyframe(context, recorded, task, before)
         key = replace(first.state, frame=before.state.frame + 1)
-    return begin_scene(context, before.header, key, task, event)
+    encoded = begin_scene(context, before.header, key, task, replace(event, scene=before))
+    if first_id in encoded.scene.state.ids[:1]:
+        context.starts.keep(_start_of(encoded))
+    return encoded
+
+
+def _start_of(encoded: Encoded) -> SegmentStart:
+    """A scene's first frame as the start of closed segments."""
+    return SegmentStart(encoded.scene.state, encoded.written.packet, encoded.pictures, encoded.memory.corrections)
 
 
 def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Scene | None = None) -> FirstFrame:
@@ -186,10 +227,13 @@ def begin_scene(context: Context, header: StreamHeader, key: State, task: Task, 
             frame,
             None if drift is None else replace(drift, first=corrections),
             time=_time_control(context) if cut is None else cut.memory.time,
-            first=cut.memory.first if cut is not None else frame if context.settings.closed else None,
+            first=None if cut is None else cut.memory.first,
         )
     selection = Selection([], np.ones(len(key), bool))
-    return Encoded(written, scene, memory, Outcome(selection, cut=cut is not None), frame)
+    encoded = Encoded(written, scene, memory, Outcome(selection, cut=cut is not None), frame)
+    if context.settings.closed and cut is None:
+        encoded = replace(encoded, memory=replace(memory, first=_start_of(encoded)))
+    return encoded
 
 
 def _time_control(context: Context) -> TimeControl | None:

@@ -101,13 +101,14 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
 
 
 def _is_cut(context: Context, memory: Memory, frame: PendingFrame, changes: Sequence[PixelChange]) -> bool:
-    # A keyframe needs every camera.
-    if (
-        not context.settings.cuts
-        or context.settings.time_budget is not None
-        or len(usable_views(changes)) < len(changes)
-    ):
+    used = usable_views(changes)
+    # A keyframe needs every camera; a segment may start from one that is there.
+    if not context.settings.cuts or context.settings.time_budget is not None:
+        return False
+    if len(used) < len(changes) and not frame.restarted:
         return False
     # References whose pixels are of several frames have edges of their own.
-    before = (memory.masks.references, memory.masks.previous)
-    return all(shows_another_scene(frame.pictures, pictures) for pictures in before)
+    now, *before = (
+        [pictures[i] for i in used] for pictures in (frame.pictures, memory.masks.references, memory.masks.previous)
+    )
+    return all(shows_another_scene(now, pictures) for pictures in before)

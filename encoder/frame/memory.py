@@ -17,6 +17,7 @@ from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion
 from .context import Context
+from .segment_starts import SegmentStart
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class BeforeFlash:
 class Memory:
     """What a frame hands to the next.
 
-    ``first``: the stream's first frame, compensated, to which closed segments return; None in other streams. ``rate``
-    and ``time`` keep to budgets, where there are some. ``stage``: the scene's, if it is one.
+    ``first``: the stream's first frame, to which closed segments return; None in other streams. ``rate`` and ``time``
+    keep to budgets, where there are some. ``stage``: the scene's, if it is one.
     """
 
     trainer: FrameTrainer
@@ -45,7 +46,7 @@ class Memory:
     time: TimeControl | None
     stage: Stage | None = None
     before_flash: BeforeFlash | None = None
-    first: RigFrame | None = None
+    first: SegmentStart | None = None
 
 
 def new_memory(
@@ -55,7 +56,7 @@ def new_memory(
     corrections: CorrectionMemory | None,
     *,
     time: TimeControl | None,
-    first: RigFrame | None,
+    first: SegmentStart | None,
 ) -> Memory:
     """The memory after a ``scene``'s first ``frame``, compensated: nothing is left of the frames before."""
     settings = context.settings
@@ -91,11 +92,16 @@ def restart_at_segment(
 
     Such a frame starts from the first keyframe; nothing is left of the frames before it.
     """
-    segment = context.settings.segment
-    if memory.first is None or frame % segment:
+    if memory.first is None or frame % context.settings.segment:
         return scene, memory, False
+    return *restart_from(context, scene, memory, memory.first, frame, watch), True
+
+
+def restart_from(
+    context: Context, scene: Scene, memory: Memory, start: SegmentStart, frame: int, watch: Stopwatch
+) -> tuple[Scene, Memory]:
+    """Scene and memory before ``frame``, which begins a closed segment that starts from there."""
     with watch.stage("commit"):
-        scene = scene.restart(frame, segment)
-        corrections = None if memory.corrections is None else memory.corrections.restart()
-        memory = new_memory(context, scene, memory.first, corrections, time=memory.time, first=memory.first)
-    return scene, memory, True
+        scene = scene.restart(start.state, frame, context.settings.segment)
+        corrections = None if start.corrections is None else start.corrections.restart()
+        return scene, new_memory(context, scene, start.frame, corrections, time=memory.time, first=memory.first)

@@ -32,12 +32,6 @@ from ..stopwatch import Stopwatch
 from .frame_report import FrameReporter
 from .options import RunOptions
 
-CUT_IN_CLOSED = (
-    "`closed`: there is another scene than in the take's first frame, from which every segment starts; each one that "
-    "begins in it trains a keyframe of its own. Encode every scene by itself (`frames`), or leave out `closed`"
-)
-"""Said once a take, when its first cut is met."""
-
 
 @dataclass(frozen=True)
 class Earlier:
@@ -61,7 +55,6 @@ class StreamEncoder:
         self._last: Encoded | None = None
         self._next: NextSegment | None = None
         self._reporter = FrameReporter(context, options.on_warning)
-        self._has_cut = False
 
     def check_header(self, first: int) -> None:
         """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
@@ -172,9 +165,6 @@ class StreamEncoder:
         if memory.time is not None and self._last is not None:
             memory = replace(memory, time=memory.time.record_time(watch.seconds, deferred=encoded.outcome.deferred))
         self._last = replace(encoded, memory=memory)
-        if encoded.outcome.cut and self._context.settings.closed and not self._has_cut:
-            self._warn(CUT_IN_CLOSED)
-        self._has_cut |= encoded.outcome.cut
         return self._reporter.report(encoded, watch)
 
     def _first_frame(self, task: Task) -> FirstFrame:

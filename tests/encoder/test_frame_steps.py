@@ -26,6 +26,7 @@ from decogs.encoder.frame.events import Event, Kind, PendingFrame
 from decogs.encoder.frame.memory import Memory, restart_at_segment
 from decogs.encoder.frame.next_segment import NextSegment
 from decogs.encoder.frame.plan import FramePlan, Selection, light_only, plan_frame
+from decogs.encoder.frame.segment_starts import SegmentStart
 from decogs.encoder.frame.train import train_frame
 from decogs.encoder.input.compensation.colour import remove_gain
 from decogs.encoder.input.ingest import RigFrame
@@ -297,7 +298,7 @@ def test_the_keyframe_of_a_cut_is_trained_on_matched_colours(monkeypatch: pytest
 
     monkeypatch.setattr(encode_frame, "train_keyframe", train)
     views = [Stub(camera=Stub(name="cam00"))]
-    context = Stub(views=Stub(release=lambda: None), ingest=Stub(views=views))
+    context = Stub(views=Stub(release=lambda: None), ingest=Stub(views=views), settings=DRAFT)
     event = Event(Kind.CUT, Stub(header=Stub(camera_colours={"cam00": colour})), memory_of(), [])
     with pytest.raises(TrainingError):
         encode_frame.encode_cut(context, event, Task(RigFrame(3, [PICTURE], [])))
@@ -315,14 +316,15 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
         seed=0,
         threads=1,
     )
-    key, corrections = state_of(4), Stub(restart=lambda: "the first frame's")
+    key = state_of(4)
     scene = Scene(Stub(lattice=default_lattice(1.0)), key, state_of(4, 1), empty_splats(0))
-    first = RigFrame(0, [PICTURE], [])
+    corrections: Any = Stub(restart=lambda: "the first frame's")
+    packet: Any = Stub()
+    first = SegmentStart(key, packet, RigFrame(0, [PICTURE], []), corrections)
     flash: Any = Stub()
     memory = memory_of(
         masks=MaskMemory.begin([0.5 * PICTURE]),
         rate=RateControl(1000.0, 3).after(PacketKind.DELTA, 400),
-        corrections=corrections,
         before_flash=flash,
         first=first,
     )
@@ -344,12 +346,12 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
 
 def segment_from(start: int, scenes: dict[int, Any], length: int = 3, first: Any = None) -> NextSegment:
     views: Any = Stub()
-    return NextSegment(start, first, scenes, views, length)
+    return NextSegment(start, state_of(4), first, scenes, views, length)
 
 
 def test_frames_go_over_in_even_steps_and_not_all_the_way() -> None:
     key = state_of(4)
-    mine = Stub(state=key, first=key)
+    mine = Stub(state=key)
     segment = segment_from(6, {frame: Stub(state=key, splats=frame) for frame in (3, 4, 5, 6)})
     fades = [segment.fade(frame, mine) for frame in (3, 4, 5)]
     assert [fade.share for fade in fades if fade is not None] == pytest.approx([0.3, 0.6, 0.9])
@@ -359,9 +361,8 @@ def test_frames_go_over_in_even_steps_and_not_all_the_way() -> None:
 
 def test_what_either_segment_changed_may_change_for_the_other() -> None:
     """Row 0 here, row 2 there, and row 4, which the keyframe has not."""
-    key = state_of(4)
     segment = segment_from(6, {5: Stub(state=state_of(4, 2), splats=None)})
-    fade = segment.fade(5, Stub(state=state_of(5, 0), first=key))
+    fade = segment.fade(5, Stub(state=state_of(5, 0)))
     assert fade is not None
     np.testing.assert_array_equal(fade.rows, [0, 2, 4])
 
