@@ -27,11 +27,10 @@ from decogs.formats.command_line import (
     whole_number,
 )
 from decogs.formats.errors import DecogsError, UsageError
-from decogs.formats.frame_ranges import frame_range
+from decogs.formats.frame_ranges import frame_range, frames_text
 from decogs.formats.unicode_forms import composed
 
 from .input.mattes.options import add_matte_options, matte_choice
-from .output.reports import frames_text
 from .synchronisation.commands import add_sync_option, rig_in_step
 
 if TYPE_CHECKING:
