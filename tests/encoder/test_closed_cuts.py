@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,10 @@ from decogs.decoder.rasterise import render
 from decogs.decoder.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, join
 from decogs.encoder.coding.scene import Scene
-from decogs.encoder.frame.segment_starts import SegmentStarts
+from decogs.encoder.frame.segment_starts import SegmentStart, SegmentStarts
 from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.formats.rigs import open_rig
+from decogs.formats.rigs.live import LiveSource
 from decogs.formats.splats import join_splats
 from encode_rig import encode_rig
 
@@ -165,6 +167,18 @@ def test_a_cut_in_which_a_camera_fails_begins_a_frame_later(take: Take, tiny_rig
     asked: list[int] = []
     SegmentStarts(ingest, SEGMENT).before(frame, first, lambda recorded: asked.append(recorded.index))
     assert asked == [], "frame 3 is lost, and frame 4 is the start itself"
+
+
+def test_a_recording_that_goes_on_is_not_read_back(tiny_rig: Any, moving: Any) -> None:
+    """There a segment starts from the last cut that was met; there are no parts."""
+    live = LiveSource(Path("cam00"), tiny_rig.camera(0), recording=None)  # type: ignore[arg-type]
+    starts = SegmentStarts(SimpleNamespace(rig=SimpleNamespace(sources=[live])), SEGMENT)  # type: ignore[arg-type]
+    first, frame = (RigFrame(index, [], []) for index in (0, 6))
+    assert starts.before(frame, first, pytest.fail) is None
+    made = [SegmentStart(moving.states[0], None, RigFrame(index, [], []), None) for index in (5, 3)]  # type: ignore[arg-type]
+    for each in made:
+        starts.keep(each)
+    assert starts.before(frame, first, pytest.fail) is made[0]
 
 
 def test_the_ids_of_a_long_scene_after_a_cut_can_be_listed(tiny_settings: Any, moving: Any) -> None:
