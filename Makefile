@@ -30,7 +30,7 @@ USER_VENV := .venv-user
 USER_BIN := $(USER_VENV)/bin
 USER_READY := $(USER_VENV)/ready
 INSTALLS := pyproject.toml setup.py constraints.txt
-KERNEL_SOURCES := $(wildcard formats/kernel/* decoder/rasterise/kernel/* encoder/*/kernel/* encoder/*/*/kernel/*)
+KERNEL_SOURCES := $(wildcard formats/*/kernel/* decoder/rasterise/kernel/* encoder/*/kernel/* encoder/*/*/kernel/*)
 
 # Blender as a Python module: 4.2 to 5.0 fit Python 3.11, 5.1 and 5.2 fit 3.13.
 BLENDER ?= 4.5.15
@@ -95,7 +95,7 @@ lint: $(READY) ## ruff: rules and formatting
 type: $(READY) ## mypy --strict over the five layers
 	$(BIN)/mypy
 
-layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder <- bench
+layers: $(READY) ## import contracts: formats <- codec <- decoder <- rig <- encoder <- bench
 	$(BIN)/lint-imports --no-logo
 
 unit: $(READY) ## pytest, a process for each processor
@@ -206,5 +206,5 @@ $(BLENDER_ENV)/ready:
 
 clean: ## remove what was built and every cache; environments and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY) $(USER_READY)
-	find decogs formats codec decoder encoder bench share tests -name __pycache__ -prune -exec rm -rf {} +
+	find decogs formats codec decoder rig encoder bench share tests -name __pycache__ -prune -exec rm -rf {} +
 	find formats decoder encoder -name '*.abi3.so' -delete

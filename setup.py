@@ -45,12 +45,12 @@ X86_SETS = {
     "avx512": ["-march=x86-64-v4", "-mprefer-vector-width=512"],
 }
 KERNELS = {
-    "decogs.formats._ycbcr": ("formats/kernel", "ycbcr.cpp"),
+    "decogs.formats.colours._ycbcr": ("formats/colours/kernel", "ycbcr.cpp"),
     "decogs.decoder.rasterise._forward": ("decoder/rasterise/kernel", "forward.cpp"),
     "decogs.encoder.backends.cpu._training": ("encoder/backends/cpu/kernel", "training.cpp"),
     "decogs.encoder.methods.transformation_cache._cache": ("encoder/methods/transformation_cache/kernel", "cache.cpp"),
 }
-ASKED = "decogs.formats._ycbcr"
+ASKED = "decogs.formats.colours._ycbcr"
 """The kernel whose base build says which instruction sets a machine runs."""
 
 

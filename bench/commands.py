@@ -8,9 +8,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.formats.command_line import Parser, number, number_of_threads, run, warn_as, whole_number
-from decogs.formats.frame_ranges import frame_range
-from decogs.formats.unicode_forms import composed
+from decogs.formats.cli.command_line import Parser, number, number_of_threads, run, warn_as, whole_number
+from decogs.formats.files.unicode_forms import composed
+from decogs.formats.frames.ranges import frame_range
 
 
 def bench_main(arguments: Sequence[str] | None = None) -> int:
@@ -33,7 +33,7 @@ def bench_parser() -> Parser:
         ("choices", 3, "what the paper leaves open and every default, one table per question"),
         ("rates", 1, "rate and distortion: several rates, and other ways to keep the same frames"),
         ("effects", 3, "detected effects, all, none, and each one wrongly disabled"),
-        ("curve", 3, "what accuracy costs in time: presets and single settings, the Pareto front, a page to explore"),
+        ("curve", 3, "what accuracy costs in time: presets and single settings, and the Pareto front"),
     ):
         # No abbreviations: --seed 7, one seed elsewhere, would be seven of them here.
         kind = kinds.add_parser(name, help=about, allow_abbrev=False)
@@ -99,8 +99,8 @@ def _bench(parser: Parser, options: argparse.Namespace, given: Sequence[str]) ->
 
 
 def _views_report(parser: Parser, options: argparse.Namespace, command: str) -> Path:
-    from .left_out import LeftOutOptions
-    from .left_out_report import make_views_report
+    from .views.left_out import LeftOutOptions
+    from .views.report import make_views_report
 
     return make_views_report(
         options.rigs,
@@ -126,8 +126,8 @@ def _cameras(text: str) -> int | list[str] | None:
 
 
 def _report_of_variants(parser: Parser, options: argparse.Namespace, command: str) -> Path:
-    from .report import PLANS, make_report
-    from .runs import BenchOptions
+    from .reports.report import PLANS, make_report
+    from .runs.run import BenchOptions
 
     return make_report(
         PLANS[options.kind],

@@ -30,6 +30,12 @@ class Estimate:
         return self.error is not None and abs(self.mean) > 2 * self.error
 
 
+def mean(values: Iterable[float | None]) -> float | None:
+    """Mean of the values there are; None when there are none."""
+    known = [value for value in values if value is not None]
+    return math.fsum(known) / len(known) if known else None
+
+
 def estimate(values: Iterable[float | None]) -> Estimate | None:
     """Mean of the values there are, and its standard error: sample standard deviation over the root of their number."""
     known = [value for value in values if value is not None]

@@ -11,13 +11,13 @@ from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
-LAYERS = ("formats", "codec", "decoder", "encoder")
+PACKAGES = ("formats", "codec", "decoder", "rig", "encoder", "bench.methods")
 _NOT_IN_A_STREAM = (
     "encoder/commands.py",
     "encoder/output/progress.py",
     "decoder/commands.py",
-    "decoder/stream_info_text.py",
-    "formats/command_line.py",
+    "decoder/reading/info_text.py",
+    "formats/cli/command_line.py",
 )
 _CODE = (".py", ".cpp", ".h")
 
@@ -37,13 +37,13 @@ def load() -> float:
 def code_version() -> str:
     """The package's version and a digest of the code that makes and shows streams.
 
-    Comments and docstrings of Python files do not count, nor does the bench itself.
+    Comments and docstrings of Python files do not count, nor does the bench but for its methods.
     """
     digest = hashlib.sha256()
-    for layer in LAYERS:
-        root = Path(str(resources.files(f"decogs.{layer}")))
+    for package in PACKAGES:
+        root = Path(str(resources.files(f"decogs.{package}")))
         for path in sorted(path for path in root.rglob("*") if path.suffix in _CODE):
-            name = f"{layer}/{path.relative_to(root).as_posix()}"
+            name = f"{package.replace('.', '/')}/{path.relative_to(root).as_posix()}"
             if not name.startswith(_NOT_IN_A_STREAM):
                 digest.update(name.encode() + b"\0" + _meaning(path))
     return f"{metadata.version('decogs')}+{digest.hexdigest()[:10]}"

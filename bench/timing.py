@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from decogs.formats.pictures import Picture
+from decogs.formats.pictures.reading import Picture
 from decogs.formats.rigs import Rig
 from decogs.formats.rigs.sources import SourceOfAnother
 

@@ -16,16 +16,12 @@ import io
 import re
 import sys
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = ("formats", "codec", "decoder")
 _EARLIEST = (1980, 1, 1, 0, 0, 0)
-_INITS = {
-    f"decogs/{layer}/__init__.py": f'"""The part of decogs.{layer} that reads a .dgs stream."""\n'.encode()
-    for layer in LAYERS
-}
-"""The layers' own import more than the reader: commands, and what Blender has not."""
 
 
 def version() -> str:
@@ -91,6 +87,14 @@ def _imports(path: Path, package: str) -> set[str]:
     return found
 
 
+def _folders(modules: Iterable[str]) -> dict[str, bytes]:
+    """An ``__init__.py`` for every folder: its own imports more than the reader, such as what Blender lacks."""
+    ways = [name.split(".") for name in modules]
+    folders = {".".join(way[:depth]) for way in ways for depth in range(2, len(way))}
+    text = '"""The part of {} that reads a .dgs stream."""\n'
+    return {f"{folder.replace('.', '/')}/__init__.py": text.format(folder).encode() for folder in sorted(folders)}
+
+
 def _layers() -> set[str]:
     return {f"decogs.{layer}" for layer in LAYERS}
 
@@ -103,8 +107,9 @@ def wheel_name() -> str:
 def wheel() -> bytes:
     """The reader. Source: the binary distribution format, packaging.python.org."""
     licence = (ROOT / "LICENSE").read_bytes()
-    files = dict(_INITS)
-    for name, path in bundled_modules().items():
+    modules = bundled_modules()
+    files = _folders(modules)
+    for name, path in modules.items():
         files[name.replace(".", "/") + ".py"] = path.read_bytes()
     about = f"decogs_reader-{version()}.dist-info"
     files[f"{about}/METADATA"] = (

@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple, NoReturn
 
-from decogs.formats.container import PACKET_HEADER_SIZE, Packet, PacketKind
 from decogs.formats.errors import StreamError
-from decogs.formats.reasons import Reason
+from decogs.formats.stream.container import PACKET_HEADER_SIZE, Packet, PacketKind
+from decogs.formats.stream.reasons import Reason
 
-from .deltas import Changes, Delta, apply_delta
-from .digest import digest
-from .frame_payload import FramePayload, split_payload
-from .header import StreamHeader
-from .state import DEFAULT_MAX_GAUSSIANS, State
-from .syntax import read_delta, read_key, read_skip
+from .header.header import StreamHeader
+from .packets.deltas import Changes, Delta, apply_delta
+from .packets.frame_payload import FramePayload, split_payload
+from .packets.syntax import read_delta, read_key, read_skip
+from .scene.digest import digest
+from .scene.state import DEFAULT_MAX_GAUSSIANS, State
 
 
 class Reconstruction(NamedTuple):

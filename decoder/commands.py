@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from decogs.formats.command_line import (
+from decogs.formats.cli.command_line import (
     Parser,
     colour,
     counted,
@@ -36,14 +36,14 @@ from decogs.formats.command_line import (
     whole_number,
 )
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import frame_range
-from decogs.formats.up_direction import UPS
-from decogs.formats.usd_prims import FLAVOURS
+from decogs.formats.frames.ranges import frame_range
+from decogs.formats.geometry.up_direction import UPS
+from decogs.formats.usd.prims import FLAVOURS
 
 from .limits import DEFAULT_MAX_MEMORY
 
 if TYPE_CHECKING:
-    from .layouts import Layout
+    from .rendering.layouts import Layout
 
 
 def decode_main(arguments: Sequence[str] | None = None) -> int:
@@ -59,7 +59,7 @@ def decode_parser() -> Parser:
         description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
         epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr, .mp4, .mov, .y4m, .rgb, "
         "or .wav for the sound alone; x_####.exr, x_%04d.exr and x_$F4.exr number files by frame; - writes Y4M to "
-        "stdout. A pose file is described in decogs.decoder.free_camera.",
+        "stdout. docs/cameras.md describes pose files.",
     )
     parser.add_argument("stream", help="the .dgs file; - for stdin")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder or file to write, - for stdout")
@@ -268,8 +268,8 @@ def view_parser() -> Parser:
 
 def _decode(parser: Parser, options: argparse.Namespace) -> None:
     from .decoding import decode
-    from .following import DEFAULT_IDLE
-    from .video_output import VideoSettings
+    from .output.video import VideoSettings
+    from .reading.following import DEFAULT_IDLE
 
     if options.output.lower().endswith(".wav"):
         _decode_sound(parser, options)
@@ -308,7 +308,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
 
 
 def _decode_sound(parser: Parser, options: argparse.Namespace) -> None:
-    from .sound.extracting import decode_sound
+    from .exporting.sound import decode_sound
 
     wanted = {"view": options.view, "camera": options.camera, "audio": options.audio, "follow": options.follow or None}
     for name, value in {**wanted, "move": options.move}.items():
@@ -329,7 +329,7 @@ def _decode_sound(parser: Parser, options: argparse.Namespace) -> None:
 
 
 def _layout(options: argparse.Namespace) -> Layout | None:
-    from .layouts import Equirectangular, Stereo
+    from .rendering.layouts import Equirectangular, Stereo
 
     if options.equirectangular:
         return Equirectangular()
@@ -337,7 +337,7 @@ def _layout(options: argparse.Namespace) -> Layout | None:
 
 
 def _export(parser: Parser, options: argparse.Namespace) -> None:
-    from .exporting import export
+    from .exporting.exporting import export
 
     output = path_or_pipe(options.output, "the file")
     with progress("exporting", quiet=options.quiet) as on_frame:
@@ -372,8 +372,8 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
 
 
 def _info(options: argparse.Namespace) -> None:
-    from .stream_info import info
-    from .stream_info_text import byte_lines, summary_lines
+    from .reading.info import info
+    from .reading.info_text import byte_lines, summary_lines
 
     with progress("reading", quiet=options.quiet) as on_frame:
         facts = info(
@@ -400,7 +400,7 @@ def _view(options: argparse.Namespace) -> None:
         return
     if options.url is not None:
         raise UsageError("`url` is where a folder will be; write one with `output`")
-    from .following import DEFAULT_IDLE
+    from .reading.following import DEFAULT_IDLE
     from .viewing.notebook import view
 
     idle = DEFAULT_IDLE if options.idle is None else options.idle

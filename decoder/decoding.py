@@ -10,38 +10,32 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Union
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.callbacks import OnProgress, OnWarning
+from decogs.codec.header.header import StreamHeader
 from decogs.formats.cameras import Camera
+from decogs.formats.colours.srgb import Colour
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.frame_ranges import Frames
-from decogs.formats.length_units import metres_of
-from decogs.formats.outputs import Output, check_outputs, files_read
+from decogs.formats.files.outputs import Output, check_outputs, files_read
+from decogs.formats.frames.ranges import Frames
+from decogs.formats.geometry.length_units import metres_of
 from decogs.formats.splats import FloatArray
+from decogs.formats.system.callbacks import OnProgress, OnWarning
 
-from .camera_files import camera_file, read_camera_file
-from .camera_moves import Move, camera_move
-from .camera_path import DEFAULT_FPS, CameraPath, ToFilm, shown_frames
-from .compositing import Ids, static_ids
-from .following import DEFAULT_IDLE, GrowingStream, follow_stream
-from .frame_choice import (
-    chosen_frames,
-    chosen_pictures,
-    coming_frames,
-    damage_to,
-    frames_in_any_order,
-    open_chosen,
-)
-from .layouts import Layout
+from .cameras.files import camera_file, read_camera_file
+from .cameras.moves import Move, camera_move
+from .cameras.path import DEFAULT_FPS, CameraPath, ToFilm, shown_frames
+from .frame_choice import chosen_frames, chosen_pictures, coming_frames, damage_to, frames_in_any_order, open_chosen
 from .limits import DEFAULT_MAX_MEMORY
-from .picture_output import PictureSink, holds_sound, open_sink
-from .shots import Colour, Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
-from .sound.samples import heard_in
-from .stream import Stream
-from .video_output import VideoSettings
+from .output.pictures import PictureSink, holds_sound, open_sink
+from .output.video import VideoSettings
+from .reading.following import DEFAULT_IDLE, GrowingStream, follow_stream
+from .reading.stream import Stream
+from .rendering.compositing import Ids, static_ids
+from .rendering.layouts import Layout
+from .rendering.shots import Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
+from .sound.samples import mixed_sound
 
 if TYPE_CHECKING:
-    from .subject import AnyStream
+    from .subject.subject import AnyStream
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
 """A file of cameras, one camera for every frame, one per frame, or a path."""
@@ -85,20 +79,20 @@ def decode(
 
     ``view`` names a camera of the rig; ``camera`` is a file of cameras, a Camera, a list of them with one per frame of
     the stream, or a CameraPath; ``move`` is one made from the rig, "orbit" or "spiral". ``output`` chooses the kind of
-    file, see ``decogs.decoder.picture_output``. ``frames``: those of the stream, or the pictures of a path with times;
+    file, see ``decogs.decoder.output.pictures``. ``frames``: those of the stream, or the pictures of a path with times;
     consecutive ones, as a slice or a range; None for all. ``background``: display-referred RGB in 0..1, the stream's
     when None; of a subject, an output that can hold it then gets the alpha and no background.
-    ``subject``: a folder of mattes; only Gaussians in their hull are shown (``decogs.decoder.subject``).
+    ``subject``: a folder of mattes; only Gaussians in their hull are shown (``decogs.decoder.subject.subject``).
     ``undistorted``: without the rig camera's lens distortion. ``drift_free``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
-    show the last good one. ``layout``: a picture of several renderings (``decogs.decoder.layouts``). ``video`` says how
+    show the last good one. ``layout``: a picture of several renderings (``rendering.layouts``). ``video`` says how
     a video is encoded, and what is heard instead of the stream's own sound. An ``output`` that is an open file takes
     uncompressed video. ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and
     ``on_warning(text)`` damage and a video that is not as good as it could be.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
-    (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
+    (``reading.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
     then appear one by one. A ``stream`` that is an open file, such as a pipe, is read in that way, too.
 
     Raises UsageError, StreamError or OSError; nothing is then left under the output's name, but for pictures that
@@ -132,7 +126,7 @@ def decode(
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count, max_memory)
         shown: AnyStream = opened
         if subject is not None:
-            from .subject import SubjectOfStream
+            from .subject.subject import SubjectOfStream
 
             shown = SubjectOfStream(opened, Path(subject), every, on_warning)
             read += shown.files_read()
@@ -204,7 +198,7 @@ def _sound(
     """What is heard with the pictures: a file, or the stream's own sound where pictures play at its rate."""
     header = stream.header
     if video.audio is not None:
-        from decogs.formats.soundtracks import read_samples
+        from decogs.formats.sound.tracks import read_samples
 
         return read_samples(video.audio, 2, begin=chosen.start / (_rate(header, wanted) or DEFAULT_FPS))
     if video.silent or not header.sound or header.fps is None:
@@ -218,7 +212,7 @@ def _sound(
                 f"{stream.path}: its sound is left out, since pictures do not show its frames one after the other"
             )
         return None
-    return heard_in(stream, shown)
+    return mixed_sound(stream, shown)
 
 
 def _shown_on(stream: Stream, wanted: str | CameraPath, chosen: range) -> range | None:

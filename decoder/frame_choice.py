@@ -8,16 +8,16 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from decogs.formats.callbacks import OnWarning
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames, frame_slice
+from decogs.formats.frames.ranges import Frames, frame_slice
+from decogs.formats.system.callbacks import OnWarning
 
-from .damage import OnDamage
-from .frame import DecodedFrame
-from .stream import Stream, open_stream
+from .reading.damage import OnDamage
+from .reading.frame import DecodedFrame
+from .reading.stream import Stream, open_stream
 
 if TYPE_CHECKING:
-    from .subject import AnyStream
+    from .subject.subject import AnyStream
 
 
 @contextmanager

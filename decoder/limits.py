@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
 from decogs.formats.cameras import Camera
-from decogs.formats.container import MAX_PAYLOAD
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.stream.container import MAX_PAYLOAD
 
 DEFAULT_MAX_MEMORY = 4 << 30
 """What decoding may take by default, in bytes, beyond the program itself."""

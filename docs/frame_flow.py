@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "encoder" / "DESIGN.md"
 PICTURE = ROOT / "docs" / "frame_flow.svg"
 ENCODER = "decogs.encoder"
-LAYERS = ("decoder", "codec", "formats")
+LAYERS = ("rig", "decoder", "codec", "formats")
 
 MARGIN, TOP, ROW, BOX = 16, 164, 58, 36
 """Pixels: around the picture, above the first step, from step to step, height of a step's box."""
@@ -30,7 +30,7 @@ LEFT, COLUMN = 470, 34
 
 @dataclass(frozen=True)
 class Step:
-    """A row of the table: ``gives`` goes to the next step; ``files`` are below encoder/, folders end with a slash."""
+    """A row of the table. ``gives``: to the next step. ``files``: in encoder/ or rig/; folders end with a slash."""
 
     name: str
     gives: str
@@ -64,9 +64,10 @@ def uses(graph: grimp.ImportGraph, step: Step) -> Uses:
 
 def modules(graph: grimp.ImportGraph, name: str) -> Iterator[str]:
     """A file's module, or a folder's and all below it."""
-    module = f"{ENCODER}.{name.removesuffix('/').removesuffix('.py').replace('/', '.')}"
+    package = "decogs" if name.startswith("rig/") else ENCODER
+    module = f"{package}.{name.removesuffix('/').removesuffix('.py').replace('/', '.')}"
     if module not in graph.modules:
-        raise ValueError(f"{TABLE.relative_to(ROOT)}: {name} is not in encoder/; correct the table of steps")
+        raise ValueError(f"{TABLE.relative_to(ROOT)}: {name} is not there; correct the table of steps")
     yield module
     if name.endswith("/"):
         yield from graph.find_descendants(module)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from decogs.formats.command_line import (
+from decogs.formats.cli.command_line import (
     Parser,
     counted,
     frame_rate,
@@ -27,16 +27,15 @@ from decogs.formats.command_line import (
     whole_number,
 )
 from decogs.formats.errors import DecogsError, UsageError
-from decogs.formats.frame_ranges import frame_range, frames_text
-from decogs.formats.unicode_forms import composed
-
-from .input.mattes.options import add_matte_options, matte_choice
-from .synchronisation.commands import add_sync_option, rig_in_step
+from decogs.formats.files.unicode_forms import composed
+from decogs.formats.frames.ranges import frame_range, frames_text
+from decogs.rig.mattes.options import add_matte_options, matte_choice
+from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
 
 if TYPE_CHECKING:
     from decogs.formats.rigs import Rig
 
-    from .job import EncodeJob
+    from .job.job import EncodeJob
     from .output.observer import EncodeObserver
     from .output.reports import EncodeReport
 
@@ -224,8 +223,8 @@ def _add_research(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--method",
         metavar="M",
-        help="decogs, paper (two stages with a cache), 3dgstream (the dense baseline, slower), or one of a package "
-        "(default: the preset's)",
+        help="decogs, paper (two stages with a cache), the bench's 3dgstream (the dense baseline, slower), or one of a "
+        "package (default: the preset's)",
     )
     group.add_argument(
         "--ablate",
@@ -295,7 +294,7 @@ def pack_parser() -> Parser:
 
 
 def _pack(parser: Parser, options: argparse.Namespace) -> int:
-    from .packing import pack
+    from .packing.packing import pack
 
     output = path_or_pipe(options.output, "the stream")
     with progress("packing", quiet=options.quiet) as on_frame:
@@ -378,10 +377,10 @@ def _check_cluster(options: argparse.Namespace) -> None:
 
 def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
     """The job that the options ask for, and the options' names for what errors may name."""
-    from .job import EncodeJob
-    from .option_texts import names, seconds_per_frame
-    from .switches import Switches
-    from .targets import Targets
+    from .job.job import EncodeJob
+    from .job.option_texts import names, seconds_per_frame
+    from .job.switches import Switches
+    from .job.targets import Targets
 
     rig, bytes_per_frame, option_names = _budget(options)
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
@@ -453,7 +452,7 @@ def _rig(options: argparse.Namespace) -> Rig | str:
     """The rig's folder, or the rig whose cameras are recording, with the effects that frames decide for themselves."""
     from decogs.formats.rigs import open_live
 
-    from .option_texts import seconds_per_frame
+    from .job.option_texts import seconds_per_frame
     from .settings.effects import PRESET_EFFECTS
 
     if (options.rig_dir is None) == (options.live is None):

@@ -9,27 +9,28 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from decogs.formats.callbacks import OnWarning
-from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.outputs import JSON, STREAM, Output, check_outputs, files_read
+from decogs.formats.files.outputs import JSON, STREAM, Output, check_outputs, files_read
 from decogs.formats.rigs import Rig, files_of, open_rig, stop_waiting, without_cameras
-from decogs.formats.threads import thread_count
+from decogs.formats.stream.container import MAX_FRAME
+from decogs.formats.system.callbacks import OnWarning
+from decogs.formats.system.threads import thread_count
+from decogs.rig.check.faults import REFUSED
+from decogs.rig.check.mattes import check_mattes
+from decogs.rig.mattes import Mattes, files_of_mattes, open_mattes
+from decogs.rig.pictures.compositing import background_for
+from decogs.rig.pictures.ingest import Ingest, check_held_out, frame_span
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
-from .analysis.faults import REFUSED
 from .backends import check_device
 from .frame.context import Context
-from .input.compositing import background_for
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
-from .input.ingest import Ingest, check_held_out, frame_span
-from .input.matte_checks import check_mattes
-from .input.mattes import Mattes, files_of_mattes, open_mattes
 from .input.sound import SoundSource, sound_source
-from .job import EncodeJob
-from .memory_limit import EncodeMemory, memory_within
+from .job.job import EncodeJob
+from .job.switches import Switches, check_together, with_switches
+from .job.targets import Targets, with_targets
 from .methods import FRAME_METHODS, require_sparse
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
@@ -42,10 +43,9 @@ from .parts.manifest import part_frames
 from .parts.output import open_part
 from .settings.encode import EncodeSettings
 from .settings.presets import preset
+from .stream.memory_limit import EncodeMemory, memory_within
 from .stream.options import RunOptions
 from .stream.run import encode_stream
-from .switches import Switches, check_together, with_switches
-from .targets import Targets, with_targets
 
 
 def encode(

@@ -16,6 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
 from decogs.formats.errors import DecogsError, UsageError
+from decogs.formats.system.extras import install
 
 T = TypeVar("T")
 Fault = Callable[[str], UsageError]
@@ -100,6 +101,9 @@ class Registry(Generic[T]):
         try:
             loaded = offered.load()
         except (Exception, SystemExit) as error:  # whatever a stranger's module does when it is imported
+            if offered.value.startswith("decogs.bench.") and isinstance(error, ModuleNotFoundError):
+                said = f"{name}: this {self._kind} comes with the bench, which is not installed: {install('bench')}"
+                raise UsageError(said) from error
             raise self._fault(offered, f"cannot be imported: {error}") from error
         self._loaded[name] = self._guard(loaded, lambda problem: self._fault(offered, problem))
         return self._loaded[name]

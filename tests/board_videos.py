@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from decogs.encoder.calibration.boards import Charuco
+from decogs.rig.calibration.boards import Charuco
 from videos_with_sound import claps, write_video
 
 BOARD = "charuco:5x4:0.05:0.0375:DICT_4X4_50"

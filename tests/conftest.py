@@ -29,4 +29,4 @@ with contextlib.suppress(ImportError):  # the wheel is checked in an environment
 def no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests compare what commands say on stderr, and a busy machine would have them say how far they are."""
     for name in ("_SECONDS", "_PAUSE"):
-        monkeypatch.setattr(f"decogs.formats.progress.{name}", math.inf)
+        monkeypatch.setattr(f"decogs.formats.cli.progress.{name}", math.inf)

@@ -17,8 +17,8 @@ import rasterise_cases as cases
 from decogs.encoder.backends import Gradients
 from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.formats.rotations import rotation_matrices
-from decogs.formats.spherical_harmonics import sh_basis
+from decogs.formats.geometry.rotations import rotation_matrices
+from decogs.formats.geometry.spherical_harmonics import sh_basis
 from decogs.formats.splats import Splats
 
 RATES = LearningRates(0.01, 0.01, 0.01, 0.01, 0.01, 0.01)

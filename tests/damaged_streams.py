@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.formats.container import FRAME_KINDS, Packet
+from decogs.formats.stream.container import FRAME_KINDS, Packet
 
 WHERE = {"sync": 0, "kind": 4, "frame": 8, "length": 12, "header crc": 16, "payload": 25}
 """Offsets in a packet, one in each thing that can be hit."""

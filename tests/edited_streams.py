@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.state import ARRAYS, State
-from decogs.decoder.stream import open_stream
-from decogs.formats.container import PacketKind
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.state import ARRAYS, State
+from decogs.decoder.reading.stream import open_stream
+from decogs.formats.stream.container import PacketKind
 from packets import iterate_packets
 
 

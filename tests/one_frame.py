@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from decogs.codec.state import MAX_GAUSSIANS
+from decogs.codec.scene.state import MAX_GAUSSIANS
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import FrameMask
-from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.settings.encode import EncodeSettings
@@ -23,6 +22,7 @@ from decogs.encoder.training.method import FrameInput, FrameTrainer, TrainedFram
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
+from decogs.rig.pictures.ingest import Ingest
 
 BOX = (np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 1.0]))
 

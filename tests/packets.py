@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.container import (
+from decogs.codec.header.header import StreamHeader
+from decogs.formats.stream.container import (
     FRAME_KINDS,
     MAX_PAYLOAD,
     Packet,

@@ -24,7 +24,7 @@ from decogs.decoder.rasterise.reference import (
     render_reference,
 )
 from decogs.formats.cameras import Camera, camera_centre
-from decogs.formats.spherical_harmonics import sh_basis
+from decogs.formats.geometry.spherical_harmonics import sh_basis
 from decogs.formats.splats import Splats, join_splats, take_splats
 
 ROUNDING = 2.0**-24

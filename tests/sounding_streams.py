@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.sound import RATE, SoundTrack
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.sound import RATE, SoundTrack
 from decogs.decoder.sound.coding import coded
-from decogs.formats.container import FRAME_KINDS, PacketKind, StreamWriter
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind, StreamWriter
 from packets import iterate_packets
 
 FIRST_TONE, STEP = 400.0, 150.0

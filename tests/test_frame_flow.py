@@ -25,13 +25,13 @@ def test_the_table_has_ten_steps_whose_marks_are_imports(script: dict[str, Any])
     graph = script["grimp"].build_graph("decogs", cache_dir=None)
     steps = script["steps"]()
     assert [step.name.split()[0] for step in steps] == [str(number) for number in range(1, 11)]
-    reading = script["uses"](graph, script["Step"]("1 read", "", ("input/ingest.py",)))
-    assert reading.at_home == {"input/"}
+    reading = script["uses"](graph, script["Step"]("1 read", "", ("rig/pictures/ingest.py",)))
+    assert reading.at_home == {"rig"}
     assert {"formats", "decoder"} <= reading.others
     assert "training/" not in reading.others
 
 
 def test_a_file_of_the_table_that_is_not_there_is_named(script: dict[str, Any]) -> None:
     graph = script["grimp"].build_graph("decogs", cache_dir=None)
-    with pytest.raises(ValueError, match=r"input/gone\.py is not in encoder/"):
+    with pytest.raises(ValueError, match=r"input/gone\.py is not there"):
         script["uses"](graph, script["Step"]("1 read", "", ("input/gone.py",)))

@@ -16,8 +16,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from decogs.formats.kernels import INSTRUCTION_SETS, best_instruction_set, kernel_path
 from decogs.formats.rigs import open_rig, read_frames
+from decogs.formats.system.kernels import INSTRUCTION_SETS, best_instruction_set, kernel_path
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -25,7 +25,7 @@ else:
     import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "encoder", "bench")
+LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "bench")
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,9 @@ def build_with(
 
 
 # A compiler for which every library is this one.
-COPYING = f'for name; do :; done; {shutil.which("cp")} {kernel_path(ROOT / "formats", "_ycbcr", "base")} "$name"'
+COPYING = (
+    f'for name; do :; done; {shutil.which("cp")} {kernel_path(ROOT / "formats" / "colours", "_ycbcr", "base")} "$name"'
+)
 
 
 @pytest.mark.parametrize(("asked", "built"), [("", {"base", best_instruction_set()}), ("all", {*INSTRUCTION_SETS})])

@@ -10,7 +10,7 @@ import av
 import av.filter
 import numpy as np
 
-from decogs.formats.videos import VideoSource, open_video
+from decogs.formats.videos.reading import VideoSource, open_video
 
 X264 = {"crf": "5", "preset": "ultrafast"}
 

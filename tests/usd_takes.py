@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.usd_export import ExportFrame
+from decogs.decoder.exporting.usd import ExportFrame
 from decogs.formats.splats import Splats, join_splats, take_splats
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from decogs.codec.state import Rows
+from decogs.codec.scene.state import Rows
 from decogs.formats.splats import FloatArray, Splats
 
-from .sequences import Frames, SceneFrame, Sizes, numbered, write_numbered
+from .sequences import FilePerFrame, Frames, Rival, SceneFrame, Sizes, WithoutDirections, numbered, write_numbered
 
 _COUNTS = np.dtype("<u4")
 _SUFFIX = ".f32.zst"
@@ -121,3 +121,16 @@ def _splats(table: FloatArray, coefficients: int) -> Splats:
     means, log_scales, quaternions, opacity_logits, sh = np.split(table, [3, 6, 10, 11], axis=1)
     arrays = (means, log_scales, quaternions, opacity_logits[:, 0], sh.reshape(len(table), coefficients, 3))
     return Splats(*(np.ascontiguousarray(array) for array in arrays))
+
+
+RIVALS = (
+    Rival("float32", "float32 + zstd", "float32 arrays per frame, zstd 19", FilePerFrame(FloatArrays())),
+    Rival(
+        "float32-sh0",
+        "float32 + zstd",
+        "float32 arrays per frame, SH degree 0 only, zstd 19",
+        WithoutDirections(FilePerFrame(FloatArrays())),
+        "View-dependent colour is left out: what the formats without it can reach at best.",
+    ),
+    Rival("float32-deltas", "float32 deltas + zstd", "float32 of the rows that change, zstd 19", FloatDeltas()),
+)

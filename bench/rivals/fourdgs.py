@@ -17,7 +17,7 @@ import numpy as np
 from decogs.formats.splat_files.quantised import logits, opacities, unit_rotations
 from decogs.formats.splats import SH_C0, Splats
 
-from .sequences import Frames, SceneFrame, Sizes
+from .sequences import NO_DIRECTIONS, Frames, Rival, SceneFrame, Sizes
 
 _FRAME_RATE = 30.0
 """Any would do: no Gaussian moves or fades between frames."""
@@ -102,3 +102,25 @@ def _splats(found: dict[str, Any]) -> Splats:
         ((found["rgb"] - 0.5) / SH_C0)[:, None],
     )
     return Splats(*(np.ascontiguousarray(array, np.float32) for array in arrays))
+
+
+_ONE_GRID = (
+    f"{NO_DIRECTIONS} Its package's writer of keyframe-delta files writes no more, though the format could hold it. "
+    "Colours outside 0..1 are put at its ends; positions lie within a share of the median size of all Gaussians. Each "
+    "frame is one of its samples, in which no Gaussian moves or fades by itself; a file plays from its front on, so "
+    "that its first frame is what lies before the second one."
+)
+
+
+def _fourdgs(coder: FourDGS, note: str) -> Rival:
+    keyframes = "first" if coder.keyframe_every is None else f"every{coder.keyframe_every}"
+    description = f"4dgs, profile {coder.profile}, {note}"
+    return Rival(f"4dgs-{coder.profile}-{keyframes}", "4dgs", description, coder, _ONE_GRID)
+
+
+RIVALS = (
+    _fourdgs(FourDGS("default", 8, None), "a keyframe every 8 frames, deflate (as it comes)"),
+    _fourdgs(FourDGS("fine"), "one keyframe, zstd 19"),
+    _fourdgs(FourDGS("default"), "one keyframe, zstd 19"),
+    _fourdgs(FourDGS("coarse"), "one keyframe, zstd 19"),
+)

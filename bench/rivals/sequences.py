@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from decogs.codec.state import Rows
+from decogs.codec.scene.state import Rows
 from decogs.formats.splats import Splats
 
 
@@ -23,6 +23,12 @@ class SceneFrame:
 
 Frames = Callable[[], Iterator[SceneFrame]]
 """The sequence from its beginning, as often as it is asked for: some rivals look at it twice."""
+
+NO_DIRECTIONS = (
+    "Keeps SH degree 0 only, and neither pays for the rest nor shows it: compare its PSNR with the row of float32 at "
+    "degree 0."
+)
+"""Of a format without view-dependent colour."""
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.state import Rows
+from decogs.codec.scene.state import Rows
 from decogs.formats.errors import UsageError
 from decogs.formats.splat_files.splat import Splat, records
 from decogs.formats.splats import Splats
 
-from .sequences import Frames, Sizes
+from .sequences import NO_DIRECTIONS, Frames, Rival, Sizes
 
 _STREAM, _FIRST, _DECODED = "scene.splat4d", "first.splat4d", "decoded.splat"
 
@@ -112,3 +112,31 @@ def _run(*arguments: str) -> str:
         reason = (done.stderr.strip().splitlines() or ["no reason given"])[0]
         raise UsageError(f"splat4d {arguments[0]}: {reason}")
     return done.stdout
+
+
+_FIXED_COUNT = (
+    f"{NO_DIRECTIONS} Takes one fixed set of Gaussians: those that are not there yet, or no more, are kept with "
+    "opacity 0. A world unit counts as a metre. It holds what never changes once for the whole clip and cannot be "
+    "written before its end is known; its first frame is counted as the file of that frame alone, but shows only once "
+    "its group of 30 frames is there."
+)
+
+
+def _splat4d(
+    position_mm: float, colour_levels: int, rotation_steps: int, scale_percent: float, note: str = ""
+) -> Rival:
+    return Rival(
+        f"splats4d-{position_mm:g}-{colour_levels}-{rotation_steps}-{scale_percent:g}",
+        "splats4d",
+        f"splats4d, ±{position_mm:g} mm, ±{colour_levels} levels, ±{rotation_steps}/128, ±{scale_percent:g} %{note}",
+        Splat4d(position_mm, colour_levels, rotation_steps, scale_percent),
+        _FIXED_COUNT,
+    )
+
+
+RIVALS = (
+    _splat4d(0.5, 1, 0, 0.5),
+    _splat4d(2, 4, 0, 2, " (its default)"),
+    _splat4d(4, 8, 2, 5),
+    _splat4d(10, 16, 4, 10),
+)

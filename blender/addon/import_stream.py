@@ -114,7 +114,7 @@ class ImportDecogs(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
 
 def _upright(up: str, metres: float, header: Any) -> Matrix:
     """Brings the stream's up to Blender's Z, and its units to metres."""
-    from decogs.formats.up_direction import AXES, turn_between, up_vector
+    from decogs.formats.geometry.up_direction import AXES, turn_between, up_vector
 
     direction = up_vector(up, header.cameras)  # type: ignore[arg-type]
     if direction is None:
@@ -137,7 +137,7 @@ def set_rate(scene: Any, rate: float) -> None:
 def _set_view(scene: Any, header: Any, cameras: list[Any], colours: str) -> None:
     import numpy as np
 
-    from decogs.formats.colour import linear_from_srgb
+    from decogs.formats.colours.srgb import linear_from_srgb
 
     from .rig_cameras import show_through
 

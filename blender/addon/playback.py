@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.decoder.damage import Damage
-from decogs.decoder.frame import DecodedFrame
-from decogs.decoder.stream import Stream, open_stream
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.reading.damage import Damage
+from decogs.decoder.reading.frame import DecodedFrame
+from decogs.decoder.reading.stream import Stream, open_stream
 from decogs.formats.splats import SH_C0, sigmoid
 
 FloatArray = NDArray[np.float32]

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 from mathutils import Matrix
 
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
 
 _SENSOR = 36.0
 OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))

@@ -105,7 +105,7 @@ def show(item: Any, scene_frame: int) -> None:
 
 def fill(mesh: Any, frame: ShownFrame, *, linear: bool) -> None:
     """Points with the attributes that ``splat_nodes`` reads, and each Gaussian's id (low and high 32 bits)."""
-    from decogs.formats.colour import linear_from_srgb
+    from decogs.formats.colours.srgb import linear_from_srgb
 
     from .playback import ranks
 

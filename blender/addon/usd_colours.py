@@ -1,7 +1,7 @@
 """Object > decogs: colours for USD imports: USD files of decogs-export look like the stream that they were made of.
 
 Blender imports point instancers without their colours. The file has them on a points object beside each, in the same
-order (`formats/usd.py`); they are read by index in the instancer's geometry nodes.
+order (`formats/usd/writing.py`); they are read by index in the instancer's geometry nodes.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, replace
 
-from decogs.codec.corrections import EFFECT_FIELDS, CorrectedCameras, Corrections
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import EFFECT_FIELDS, CorrectedCameras, Corrections
 from decogs.formats.errors import UsageError
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from decogs.formats.command_line import (
+from decogs.formats.cli.command_line import (
     Parser,
     counted,
     number_of_bytes,

@@ -11,10 +11,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from decogs.formats.callbacks import OnProgress, OnWarning
-from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.outputs import PNG, STREAM, GrowingFile, Output, check_outputs, errors_named, is_device
+from decogs.formats.files.outputs import PNG, STREAM, GrowingFile, Output, check_outputs, errors_named, is_device
+from decogs.formats.stream.container import PacketKind, StreamWriter
+from decogs.formats.system.callbacks import OnProgress, OnWarning
 
 from ..limits import DEFAULT_MAX_MEMORY
 from .operations.base import Operation

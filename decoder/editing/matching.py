@@ -7,16 +7,16 @@ from itertools import count
 
 import numpy as np
 
-from decogs.codec.corrections import CorrectedCameras
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import Lattice, dequantise, quantise
-from decogs.codec.sound import SoundTrack
-from decogs.codec.state import ARRAYS, Attributes, State, all_rows
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.packets.sound import SoundTrack
+from decogs.codec.scene.lattice import Lattice, dequantise, quantise
+from decogs.codec.scene.state import ARRAYS, Attributes, State, all_rows
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError, UsageError
-from decogs.formats.frame_rates import is_same_rate
-from decogs.formats.similarity import NO_CHANGE, Similarity, transformed_camera, transformed_splats
+from decogs.formats.frames.rates import is_same_rate
+from decogs.formats.geometry.similarity import NO_CHANGE, Similarity, transformed_camera, transformed_splats
 from decogs.formats.splats import Splats
 
 from .cameras import renamed_corrections, with_cameras, with_effects_of
@@ -50,18 +50,18 @@ def matched(operation: str, first: Take, second: Take) -> Matched:
             f"{operation}: one has {one.fps:.7g} frames a second, the other {other.fps:.7g}; `retime` one first"
         )
     degree = max(one.sh_degree, other.sh_degree)
-    place = NO_CHANGE
+    similarity = NO_CHANGE
     if one.presentation.transform != other.presentation.transform:
-        place = one.presentation.similarity.inverse.after(other.presentation.similarity)
-        other = replace(other, cameras=tuple(transformed_camera(camera, place) for camera in other.cameras))
+        similarity = one.presentation.similarity.inverse.after(other.presentation.similarity)
+        other = replace(other, cameras=tuple(transformed_camera(camera, similarity) for camera in other.cameras))
     header = _common(one, other := _with_own_names(one, other))
     names = {was.name: now.name for was, now in zip(second.header.cameras, other.cameras, strict=True)}
     taken = second.each(lambda frame: replace(frame, corrections=renamed_corrections(frame.corrections, names.get)))
     changed = _rounded(other.lattice, one.lattice)
-    if not place.is_identity:
-        heard = tuple(_moved(track, place) for track in taken.header.sound)
+    if not similarity.is_identity:
+        heard = tuple(_moved(track, similarity) for track in taken.header.sound)
         taken = replace(taken, header=replace(taken.header, sound=heard))
-        taken = taken.each_scene(lambda state: _placed(state, other.lattice, one.lattice, place))
+        taken = taken.each_scene(lambda state: _transformed(state, other.lattice, one.lattice, similarity))
     elif changed:
         taken = taken.each_scene(lambda state: requantised(state, other.lattice, one.lattice))
     sources = (*first.sources, *second.sources)
@@ -69,15 +69,15 @@ def matched(operation: str, first: Take, second: Take) -> Matched:
         replace(header, sh_degree=degree),
         replace(_of_degree(first, degree), sources=sources),
         _of_degree(taken, degree),
-        _cost(changed, place),
+        _cost(changed, similarity),
     )
 
 
-def _moved(track: SoundTrack, place: Similarity) -> SoundTrack:
+def _moved(track: SoundTrack, similarity: Similarity) -> SoundTrack:
     """A track whose sound comes from where this takes it."""
     if track.position is None:
         return track
-    x, y, z = (place.matrix @ (*track.position, 1.0))[:3].tolist()
+    x, y, z = (similarity.matrix @ (*track.position, 1.0))[:3].tolist()
     return replace(track, position=(x, y, z))
 
 
@@ -102,9 +102,9 @@ def requantised(state: State, was: Lattice, lattice: Lattice) -> State:
     return new_state(numbers, state.frame, ids=state.ids, next_id=state.next_id)
 
 
-def _placed(state: State, was: Lattice, lattice: Lattice, place: Similarity) -> State:
+def _transformed(state: State, was: Lattice, lattice: Lattice, similarity: Similarity) -> State:
     """The nearest points of a scene that was brought elsewhere."""
-    points = _on(lattice, transformed_splats(dequantise(state, was), place))
+    points = _on(lattice, transformed_splats(dequantise(state, was), similarity))
     return new_state(points, state.frame, ids=state.ids, next_id=state.next_id)
 
 
@@ -116,8 +116,8 @@ def _on(lattice: Lattice, values: Splats) -> Attributes:
         raise UsageError(f"a scene does not fit the lattice of the first stream ({error}); `crop` it before") from None
 
 
-def _cost(changed: list[str], place: Similarity) -> str:
-    if not place.is_identity:
+def _cost(changed: list[str], similarity: Similarity) -> str:
+    if not similarity.is_identity:
         return "brought to where its transform says, rounded to the lattice of the first"
     return f"{', '.join(changed)} rounded to the lattice of the first" if changed else ""
 

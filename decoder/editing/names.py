@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from decogs.codec.morton import morton_order
-from decogs.codec.state import Rows, State, take_rows
+from decogs.codec.scene.morton import morton_order
+from decogs.codec.scene.state import Rows, State, take_rows
 
 OWN_IDS = 1 << 52
 """Below this are the ids of the stream that is edited; those of others are above, and get new ones."""
@@ -75,10 +75,10 @@ def _looked_up(known: tuple[Rows, Rows], ids: Rows) -> Rows:
     inner, outer = known
     if not len(inner):
         return np.full(len(ids), -1, np.int64)
-    places = np.searchsorted(inner, ids).clip(max=len(inner) - 1)
-    return np.where(inner[places] == ids, outer[places], -1)
+    indices = np.searchsorted(inner, ids).clip(max=len(inner) - 1)
+    return np.where(inner[indices] == ids, outer[indices], -1)
 
 
 def _joined(first: tuple[Rows, Rows], second: tuple[Rows, Rows]) -> tuple[Rows, Rows]:
-    inner, places = np.unique(np.concatenate([first[0], second[0]]), return_index=True)
-    return inner, np.concatenate([first[1], second[1]])[places]
+    inner, indices = np.unique(np.concatenate([first[0], second[0]]), return_index=True)
+    return inner, np.concatenate([first[1], second[1]])[indices]

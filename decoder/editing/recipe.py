@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NoReturn
 
-from decogs.formats.command_line import Parser
+from decogs.formats.cli.command_line import Parser
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs.fields import read_toml
 
@@ -56,9 +56,9 @@ def parse_operations(words: Sequence[str]) -> list[Operation]:
     """The operations in a list of words, each from its name up to the next one's. Raises UsageError."""
     begins = [] if not words or words[0] in OPERATIONS else [0]  # which says what is wrong with the first word
     is_value = False
-    for place, word in enumerate(words):
+    for index, word in enumerate(words):
         if word in OPERATIONS and not is_value:
-            begins.append(place)
+            begins.append(index)
             parser = operation_parser(word)
             is_value = any(not action.option_strings and action.nargs in (None, "+") for action in parser._actions)
         else:
@@ -96,9 +96,9 @@ def split_arguments(words: Sequence[str], parser: argparse.ArgumentParser) -> tu
     flags = {name for action in parser._actions if action.nargs == 0 for name in action.option_strings}
     begin = next(
         (
-            place
-            for place, word in enumerate(words)
-            if word in OPERATIONS and not (place and words[place - 1] in takes_value)
+            index
+            for index, word in enumerate(words)
+            if word in OPERATIONS and not (index and words[index - 1] in takes_value)
         ),
         len(words),
     )

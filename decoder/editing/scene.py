@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.state import State
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.state import State
 from decogs.formats.cameras import turned
 
 

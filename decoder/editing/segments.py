@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.state import Rows, State, same_scene
+from decogs.codec.scene.state import Rows, State, same_scene
 
 from .take import Frame, Take
 
@@ -48,8 +48,8 @@ def with_choices(take: Take, choose: Choices) -> Callable[[int, int], Iterator[t
 
 def segment_of(take: Take, frame: int) -> range:
     """The frames of the segment in which a frame lies."""
-    place = bisect_right(take.starts, frame)
-    return range(take.starts[place - 1], take.starts[place] if place < len(take.starts) else take.frame_count)
+    number = bisect_right(take.starts, frame)
+    return range(take.starts[number - 1], take.starts[number] if number < len(take.starts) else take.frame_count)
 
 
 def rows_among(state: State, ids: Rows) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
+from decogs.codec.packets.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
@@ -46,21 +46,21 @@ def _beginning(take: Take, start: int, fps: float) -> FrameSound:
     """The packets of frame ``start`` with the blocks before it that are heard in it or make the decoder right."""
     runs: dict[int, list[tuple[int, bytes]]] = {}
     ends: dict[int, int] = {}
-    first, place, stop = max(0, start - frames_before(fps)), frame_start(start, fps), frame_start(start + 1, fps)
+    first, start_sample, stop = max(0, start - frames_before(fps)), frame_start(start, fps), frame_start(start + 1, fps)
     for frame, packets in enumerate(take.hear(first, start + 1), start=first):
         for packet in packets:
             at = frame_start(frame, fps) + packet.offset
             run = runs.setdefault(packet.track, [])
             if abs(ends.get(packet.track, at) - at) > CONTINUES:
                 run.clear()
-            places = [at + number * BLOCK for number in range(len(packet.blocks))]
-            coming = zip(places, packet.blocks, strict=True)
-            run += [(at, block) for at, block in coming if place - PRE_ROLL - BLOCK < at < stop]
-            ends[packet.track] = places[-1] + BLOCK
+            samples_at = [at + number * BLOCK for number in range(len(packet.blocks))]
+            coming = zip(samples_at, packet.blocks, strict=True)
+            run += [(at, block) for at, block in coming if start_sample - PRE_ROLL - BLOCK < at < stop]
+            ends[packet.track] = samples_at[-1] + BLOCK
     found = []
     for track, run in runs.items():
-        if run and run[-1][0] + BLOCK > place:
-            found.append(SoundPacket(track, run[0][0] - place, tuple(block for _, block in run)))
+        if run and run[-1][0] + BLOCK > start_sample:
+            found.append(SoundPacket(track, run[0][0] - start_sample, tuple(block for _, block in run)))
     return tuple(found)
 
 
@@ -93,7 +93,7 @@ def played(take: Take, plays: Sequence[Played], fps: float) -> Hear:
 
 def with_file(take: Take, path: Path, channels: int, begin: float, fps: float) -> Hear:
     """The take's sound and, as one more track, that of a file from ``begin`` seconds on."""
-    from decogs.formats.soundtracks import read_samples
+    from decogs.formats.sound.tracks import read_samples
 
     samples = read_samples(path, channels, begin=begin)
     first = next(samples, None)
@@ -138,9 +138,9 @@ def _tape(take: Take, number: int, track: SoundTrack, fps: float) -> Tape:
     step = int(np.ceil(fps))
 
     @lru_cache(maxsize=4)
-    def second(place: int) -> FloatArray:
+    def second(part_number: int) -> FloatArray:
         """So many frames, in which a second passes."""
-        begin, end = place * step, min((place + 1) * step, take.frame_count)
+        begin, end = part_number * step, min((part_number + 1) * step, take.frame_count)
         first = max(0, begin - frames_before(fps))
         own = (
             tuple(replace(packet, track=0) for packet in packets if packet.track == number)
@@ -151,14 +151,14 @@ def _tape(take: Take, number: int, track: SoundTrack, fps: float) -> Tape:
 
     def read(start: int, stop: int) -> FloatArray:
         samples = np.zeros((track.channels, stop - start), np.float32)
-        for place in range(max(0, int(start * fps / RATE) // step - 1), -(-take.frame_count // step)):
-            begin = frame_start(place * step, fps)
+        for part_number in range(max(0, int(start * fps / RATE) // step - 1), -(-take.frame_count // step)):
+            begin = frame_start(part_number * step, fps)
             if begin >= stop:
                 break
-            end = frame_start(min((place + 1) * step, take.frame_count), fps)
+            end = frame_start(min((part_number + 1) * step, take.frame_count), fps)
             low, high = max(begin, start), min(end, stop)
             if low < high:
-                samples[:, low - start : high - start] = second(place)[:, low - begin : high - begin]
+                samples[:, low - start : high - start] = second(part_number)[:, low - begin : high - begin]
         return samples
 
     return read
@@ -173,8 +173,8 @@ def _stretched(read: Tape, begin: float, end: float, count: int) -> FloatArray:
     band = min(1.0, 1 / speed)
     reach = int(np.ceil(_LOBES / band))
     pieces = [np.zeros((channels, 0), np.float32)]
-    places = begin + (end - begin) * np.arange(count) / count
-    for part in (places[start : start + _AT_ONCE] for start in range(0, count, _AT_ONCE)):
+    frame_positions = begin + (end - begin) * np.arange(count) / count
+    for part in (frame_positions[start : start + _AT_ONCE] for start in range(0, count, _AT_ONCE)):
         taps = np.floor(part).astype(np.int64)[:, None] + np.arange(1 - reach, reach + 1)
         apart = part[:, None] - taps
         weights = band * np.sinc(band * apart) * np.cos(np.pi / 2 * apart / reach) ** 2

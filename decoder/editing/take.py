@@ -9,18 +9,18 @@ from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
 
-from decogs.codec.corrections import Corrections
-from decogs.codec.header import StreamHeader
-from decogs.codec.state import State, same_scene
-from decogs.formats.callbacks import OnWarning
-from decogs.formats.container import Packet, PacketKind
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import Corrections
+from decogs.codec.scene.state import State, same_scene
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.reasons import Reason
+from decogs.formats.stream.container import Packet, PacketKind
+from decogs.formats.stream.reasons import Reason
+from decogs.formats.system.callbacks import OnWarning
 
-from ..frame import DecodedFrame
 from ..frame_choice import open_chosen
+from ..reading.frame import DecodedFrame
+from ..reading.stream import Stream
 from ..sound.packets import FrameSound
-from ..stream import Stream
 from .names import OWN_IDS
 
 
@@ -91,12 +91,12 @@ class Take:
         """The same take with one more line to say."""
         return replace(self, notes=(*self.notes, (lambda: note) if isinstance(note, str) else note))
 
-    def with_poster(self, place_of: Callable[[int], int | None]) -> Take:
+    def with_poster(self, poster_of: Callable[[int], int | None]) -> Take:
         """The take with its poster where that frame is now; None where it is no more."""
         told = self.header.presentation
         if told.poster is None:
             return self
-        return replace(self, header=replace(self.header, presentation=replace(told, poster=place_of(told.poster))))
+        return replace(self, header=replace(self.header, presentation=replace(told, poster=poster_of(told.poster))))
 
     def each_scene(self, edit: Callable[[State], State]) -> Take:
         """The take with the scene of every frame edited by itself; one that did not change is edited once."""
@@ -131,7 +131,7 @@ def open_take(
     Raises StreamError, OSError, and UsageError for a stream without a frame.
     """
     with open_chosen(path, None, strict=False, max_memory=max_memory, on_warning=on_warning) as (stream, every):
-        if on_warning is not None and (lost := stream.not_known()):
+        if on_warning is not None and (lost := stream.unknown_parts()):
             on_warning(f"{path}: holds what this version does not know, which is left out: {', '.join(lost[:_NAMED])}")
         settings = {name: value for name, value in stream.stored_header.settings.items() if name not in _OF_THE_ENCODE}
         source = _Source(stream, number * OWN_IDS)
@@ -153,12 +153,12 @@ class _Source:
         before: State | None = None
         for frame in self.stream.frames(start, stop):
             same_ids = before if was is not None and was.state.ids is frame.state.ids else None
-            after = self._placed(frame.state, same_ids)
+            after = self._renumbered(frame.state, same_ids)
             is_key = frame.kind == PacketKind.KEY
             yield Frame(after, frame.corrections, is_key, self._coded(frame, None if is_key else before, after))
             was, before = frame, after
 
-    def _placed(self, state: State, same_ids: State | None = None) -> State:
+    def _renumbered(self, state: State, same_ids: State | None = None) -> State:
         if not self.first_id:
             return state
         if state.next_id > OWN_IDS:
@@ -175,5 +175,5 @@ class _Source:
             )
         if frame.kind != PacketKind.KEY and before is None:
             return None
-        first = self._placed(self.stream.first_keyframe()) if frame.refers_to_first else None
+        first = self._renumbered(self.stream.first_keyframe()) if frame.refers_to_first else None
         return Coded(frame.coded, before, after, first)

@@ -7,13 +7,13 @@ from typing import Protocol
 
 import numpy as np
 
-from decogs.codec.corrections import write_corrections
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import new_state
-from decogs.codec.state import Rows, State, all_rows, same_scene, same_values, take_rows
-from decogs.codec.syntax import refers_to_first, renamed, write_delta, write_key, write_skip
-from decogs.formats.container import PacketKind
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import write_corrections
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.packets.syntax import refers_to_first, renamed, write_delta, write_key, write_skip
+from decogs.codec.scene.state import Rows, State, all_rows, same_scene, same_values, take_rows
+from decogs.formats.stream.container import PacketKind
 
 from .names import Names
 from .take import Frame

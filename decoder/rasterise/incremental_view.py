@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
-from decogs.formats.kernels import checked_handle
 from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.system.kernels import checked_handle
 
 from .native import (
     MAX_PAIRS,
@@ -71,9 +71,9 @@ class IncrementalView:
 
     def set_scene(self, scene: Splats) -> None:
         """Starts anew with a whole scene (N Gaussians)."""
-        placed = native_scene(scene)
+        native = native_scene(scene)
         self._population = None
-        self._check(self._run(self._library.decogs_incremental_set_scene, ctypes.byref(placed)))
+        self._check(self._run(self._library.decogs_incremental_set_scene, ctypes.byref(native)))
         self._population = len(scene)
 
     def change(

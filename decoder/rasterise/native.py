@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre, turned
 from decogs.formats.errors import UsageError
-from decogs.formats.kernels import check_memory, checked_handle, load_kernel
 from decogs.formats.splats import FloatArray, Splats
-from decogs.formats.threads import thread_count
+from decogs.formats.system.kernels import check_memory, checked_handle, load_kernel
+from decogs.formats.system.threads import thread_count
 
 RowArray = NDArray[np.int64]
 

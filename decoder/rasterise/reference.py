@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from decogs.formats.cameras import Camera, camera_centre
-from decogs.formats.rotations import rotation_matrices
-from decogs.formats.spherical_harmonics import sh_basis
+from decogs.formats.geometry.rotations import rotation_matrices
+from decogs.formats.geometry.spherical_harmonics import sh_basis
 
 BLUR = 0.3
 """Variance of the low-pass filter, square pixels (Kerbl 2023)."""

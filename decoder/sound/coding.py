@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from decogs.codec.sound import BLOCK, SoundPacket, frame_start
+from decogs.codec.packets.sound import BLOCK, SoundPacket, frame_start
 from decogs.formats.splats import FloatArray
 
 from .packets import FrameSound
 
 if TYPE_CHECKING:
-    from decogs.formats.opus import OpusEncoder
+    from decogs.formats.sound.opus import OpusEncoder
 
 
 def coded(samples: Iterable[FloatArray], channels: int, fps: float, *, track: int = 0) -> Iterator[FrameSound]:
@@ -21,7 +21,7 @@ def coded(samples: Iterable[FloatArray], channels: int, fps: float, *, track: in
 
     ``samples`` (channels, N) at 48 kHz begin with frame 0; no more of them are taken than the frames so far need.
     """
-    from decogs.formats.opus import OpusEncoder
+    from decogs.formats.sound.opus import OpusEncoder
 
     encoder = OpusEncoder(channels)
     blocks = _blocks(encoder, samples, channels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 
-from decogs.codec.sound import SoundPacket, SoundTrack
+from decogs.codec.packets.sound import SoundPacket, SoundTrack
 from decogs.formats.splats import FloatArray
 
 from .packets import FrameSound

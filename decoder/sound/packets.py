@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from decogs.codec.sound import MAX_PACKETS, SoundPacket, SoundTrack, read_sound
-from decogs.formats.container import FRAME_KINDS, PacketKind, PacketReader
+from decogs.codec.packets.sound import MAX_PACKETS, SoundPacket, SoundTrack, read_sound
 from decogs.formats.errors import StreamError
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind, PacketReader
 
 FrameSound = tuple[SoundPacket, ...]
 """The packets of one frame, in the order of the stream."""

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.sound import BLOCK, CONTINUES, PRE_ROLL, RATE, SoundPacket, SoundTrack, frame_start
 from decogs.formats.splats import FloatArray
 
 from .packets import FrameSound
 
 if TYPE_CHECKING:
-    from decogs.formats.opus import OpusDecoder
+    from decogs.formats.sound.opus import OpusDecoder
 
 
 class HasSound(Protocol):
@@ -36,7 +36,7 @@ def frames_before(fps: float) -> int:
     return int(np.ceil((PRE_ROLL + BLOCK) * fps / RATE))
 
 
-def heard_in(stream: HasSound, frames: range) -> Iterator[FloatArray]:
+def mixed_sound(stream: HasSound, frames: range) -> Iterator[FloatArray]:
     """What is heard in these frames of a stream with sound, all tracks together: stereo (2, N), a piece a frame."""
     header = stream.header
     assert header.fps is not None
@@ -78,7 +78,7 @@ class _Voice:
 
         Blocks that no sample of the frame depends on are passed over, however many there are.
         """
-        from decogs.formats.opus import OpusDecoder
+        from decogs.formats.sound.opus import OpusDecoder
 
         blocks: list[tuple[int, bytes]] = []
         for packet in packets:
@@ -100,10 +100,10 @@ class _Voice:
             if passed < BLOCK:
                 self._put(samples[:, passed:], at + passed - begin)
 
-    def _put(self, samples: FloatArray, place: int) -> None:
-        """Samples that are heard from ``place`` on, counted from the frame's start."""
-        before = self._tail[:, :place]
-        silence = np.zeros((self._channels, place - before.shape[1]), np.float32)
+    def _put(self, samples: FloatArray, offset: int) -> None:
+        """Samples that are heard from ``offset`` on, counted from the frame's start."""
+        before = self._tail[:, :offset]
+        silence = np.zeros((self._channels, offset - before.shape[1]), np.float32)
         self._tail = np.concatenate([before, silence, samples], axis=1)
 
     def between(self, begin: int, end: int) -> FloatArray:

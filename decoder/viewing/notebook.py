@@ -9,13 +9,13 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from decogs.formats.regular_files import open_regular
+from decogs.formats.files.regular_files import open_regular
 
-from ..following import DEFAULT_IDLE
 from ..limits import DEFAULT_MAX_MEMORY
+from ..reading.following import DEFAULT_IDLE
 
 if TYPE_CHECKING:
-    from decogs.codec.header import StreamHeader
+    from decogs.codec.header.header import StreamHeader
 
     from .piped import PipedStream
     from .server import StreamServer
@@ -91,7 +91,7 @@ def view(
     or the end of Python. Raises UsageError, StreamError for what is no readable stream, RigError for what is no rig,
     OSError when the file cannot be read.
     """
-    from ..following import followed
+    from ..reading.following import followed
     from .piped import PipedStream
     from .recorded_pictures import RecordedPictures
     from .server import serve_stream
@@ -116,7 +116,7 @@ def check_header(stream: str | os.PathLike[str], *, follow: bool, idle: float = 
 
     ``follow``: waits up to ``idle`` seconds for the file and its header.
     """
-    from ..following import GrowingStream, follow_stream, followed
+    from ..reading.following import GrowingStream, follow_stream, followed
 
     if follow:
         with follow_stream(followed(stream), idle=idle) as growing:

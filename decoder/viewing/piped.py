@@ -10,10 +10,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.outputs import part_of
+from decogs.codec.header.header import StreamHeader
+from decogs.formats.files.outputs import part_of
 
-from ..following import follow_stream
+from ..reading.following import follow_stream
 
 NAME = "stream.dgs"
 """Of the file, and of its address."""

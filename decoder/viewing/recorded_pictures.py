@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.colour import srgb_from_linear
+from decogs.codec.header.header import StreamHeader
+from decogs.formats.colours.srgb import srgb_from_linear
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.pictures import Picture
+from decogs.formats.pictures.reading import Picture
 
 if TYPE_CHECKING:
     from decogs.formats.rigs import FrameSource
@@ -82,13 +82,13 @@ class RecordedPictures:
 
     def _picture(self, source: FrameSource, camera: str, frame: int) -> Picture:
         """Goes on where it can: videos are read in sequence."""
-        place, self._reading = self._reading, None
-        if place is None or place[0] != camera or place[1] > frame:
-            if place is not None:
-                place[2].close()
+        position, self._reading = self._reading, None
+        if position is None or position[0] != camera or position[1] > frame:
+            if position is not None:
+                position[2].close()
             # A video is read from its start however a range begins; other pictures are found by their number.
-            place = camera, frame, source.read(frame, self._frames)
-        _, first, pictures = place
+            position = camera, frame, source.read(frame, self._frames)
+        _, first, pictures = position
         for at, picture in enumerate(pictures, first):
             if at == frame:
                 self._reading = camera, frame + 1, pictures

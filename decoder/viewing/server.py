@@ -25,10 +25,10 @@ from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.outputs import is_device, part_of
-from decogs.formats.regular_files import open_regular
+from decogs.formats.files.outputs import is_device, part_of
+from decogs.formats.files.regular_files import open_regular
 
-from ..following import followed, open_growing
+from ..reading.following import followed, open_growing
 from .byte_ranges import NoSuchBytes, asked_range
 from .page_files import INDEX, OTHER_MEDIA, POLICY, PageFile, page_files
 from .recorded_pictures import RecordedPictures

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.callbacks import OnProgress
+from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.outputs import Output, check_folder_name, check_outputs, files_read, staged_files
-from decogs.formats.regular_files import Unchanged, open_regular
+from decogs.formats.files.outputs import Output, check_folder_name, check_outputs, files_read, staged_files
+from decogs.formats.files.regular_files import Unchanged, open_regular
+from decogs.formats.system.callbacks import OnProgress
 
-from ..picture_output import to_8bit
-from ..stream import open_stream
-from ..views import render_view
+from ..output.pictures import to_8bit
+from ..reading.stream import open_stream
+from ..rendering.views import render_view
 from .notebook import check_header
 from .page_files import INDEX, POSTER, page_files
 from .recorded_pictures import jpeg

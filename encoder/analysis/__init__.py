@@ -11,7 +11,7 @@ frame, in the encoder's loop (``enabled.py``). An effect that a decoder has to k
 
 from typing import TYPE_CHECKING
 
-from decogs.formats.lazy_names import lazy_names
+from decogs.formats.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from ..settings.effects import (
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from .effect import Decision as Decision
     from .effect import Effect as Effect
     from .effect import Evidence as Evidence
-    from .rig_statistics import RigStatistics as RigStatistics
-    from .rig_statistics import gather_statistics as gather_statistics
 
 _HOMES = {
     "EFFECT_NAMES": ".settings.effects",
@@ -60,8 +58,6 @@ _HOMES = {
     "Decision": "effect",
     "Effect": "effect",
     "Evidence": "effect",
-    "RigStatistics": "rig_statistics",
-    "gather_statistics": "rig_statistics",
 }
 __all__ = list(_HOMES)
 __getattr__ = lazy_names(__name__, _HOMES)

@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from decogs.formats.callbacks import OnProgress
-from decogs.formats.frame_ranges import Frames
+from decogs.formats.frames.ranges import Frames
 from decogs.formats.rigs import Rig, open_rig
-from decogs.formats.threads import thread_count
+from decogs.formats.system.callbacks import OnProgress
+from decogs.formats.system.threads import thread_count
+from decogs.rig.check.rig_check import RigCheck, check_rig, in_columns
+from decogs.rig.check.rig_statistics import RigStatistics, gather_statistics
+from decogs.rig.check.stage_check import RoomCheck, StageCheck, check_backdrop
+from decogs.rig.parallel import side_by_side
+from decogs.rig.pictures.ingest import frame_span
 
-from ..input.ingest import frame_span
-from ..parallel import side_by_side
 from ..settings.effects import FRAME_EFFECTS
 from . import EFFECTS
 from .effect import Decision, Evidence, Span
-from .rig_check import RigCheck, check_rig, in_columns
-from .rig_statistics import RigStatistics, gather_statistics
-from .stage_check import RoomCheck, StageCheck, check_backdrop
 
 
 @dataclass(frozen=True)

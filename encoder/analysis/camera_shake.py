@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from decogs.rig.check.registration import SHAKE_LIMIT_PIXELS
+from decogs.rig.check.rig_statistics import RigStatistics
+
 from ..settings.encode import EncodeSettings
 from .effect import Decision, Evidence, cameras_beyond, make_decision, one_span, reason_of
-from .registration import SHAKE_LIMIT_PIXELS
-from .rig_statistics import RigStatistics
 
 
 class CameraShake:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from decogs.rig.check.light import EXPOSURE_LIMIT, FRAME_LIMIT, WHITE_BALANCE_LIMIT, Light
+from decogs.rig.check.rig_statistics import RigStatistics
+
 from ..settings.encode import EncodeSettings
 from .effect import F64, Decision, Evidence, cameras_beyond, make_decision, one_span, reason_of
-from .light import EXPOSURE_LIMIT, FRAME_LIMIT, WHITE_BALANCE_LIMIT, Light
-from .rig_statistics import RigStatistics
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from decogs.rig.check.light import EXPOSURE_LIMIT
+from decogs.rig.check.rig_statistics import RigStatistics
+
 from ..settings.encode import EncodeSettings
 from .effect import Decision, Evidence, cameras_beyond, make_decision, reason_of
-from .light import EXPOSURE_LIMIT
-from .rig_statistics import RigStatistics
 
 
 class ColourMismatch:

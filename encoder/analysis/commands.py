@@ -7,10 +7,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
+from decogs.formats.cli.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import frame_range
-from decogs.formats.outputs import (
+from decogs.formats.files.outputs import (
     JSON,
     Output,
     check_folder_name,
@@ -19,10 +18,10 @@ from decogs.formats.outputs import (
     is_device,
     write_whole,
 )
-from decogs.formats.unicode_forms import composed
-
-from ..input.mattes.options import add_matte_options, matte_choice
-from ..synchronisation.commands import add_sync_option, rig_in_step
+from decogs.formats.files.unicode_forms import composed
+from decogs.formats.frames.ranges import frame_range
+from decogs.rig.mattes.options import add_matte_options, matte_choice
+from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
 
 _PAGE = "index.html"
 
@@ -74,10 +73,10 @@ def analyze_parser() -> Parser:
 
 def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     from decogs.formats.rigs import files_of, without_cameras
+    from decogs.rig.check.mattes import check_mattes, lost_mattes
+    from decogs.rig.mattes import files_of_mattes, open_mattes
+    from decogs.rig.pictures.ingest import Ingest, frame_span
 
-    from ..input.ingest import Ingest, frame_span
-    from ..input.matte_checks import check_mattes, lost_mattes
-    from ..input.mattes import files_of_mattes, open_mattes
     from .analyse import analyse
 
     rig = without_cameras(rig_in_step(options), options.exclude)

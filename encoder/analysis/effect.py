@@ -9,8 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.rig.check.rig_statistics import RigStatistics
+
 from ..settings.encode import EncodeSettings
-from .rig_statistics import RigStatistics
 
 F64 = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

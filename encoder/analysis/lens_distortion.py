@@ -15,15 +15,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import distort_pixels
+from decogs.decoder.cameras.lens import distort_pixels
 from decogs.formats.cameras import Camera, camera_centre, is_distorted
+from decogs.rig.check.matches import PairMatches, essential_matrices, sampson_distances
+from decogs.rig.check.rig_statistics import RigStatistics
+from decogs.rig.numerics import tukey
 
 from ..change.masks import BoolArray
-from ..numerics import tukey
 from ..settings.encode import EncodeSettings
 from .effect import F64, Decision, Evidence, cameras_beyond, make_decision, reason_of
-from .matches import PairMatches, essential_matrices, sampson_distances
-from .rig_statistics import RigStatistics
 
 _LIMIT_PIXELS = 1.0
 """Least displacement that counts, in pixels of the analysed size: three times SIFT's accuracy. Beyond the calibration,

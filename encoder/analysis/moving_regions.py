@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
+from decogs.rig.check.rig_statistics import MAX_PIXELS
+from decogs.rig.parallel import side_by_side
+from decogs.rig.pictures.noise import picture_noise
 
 from ..change.masks import BoolArray, FrameMask
-from ..change.noise import picture_noise
-from ..parallel import side_by_side
 from .changes import WINDOW_PIXELS, change_maps
-from .rig_statistics import MAX_PIXELS
 
 _MOVING_SHARE = 0.15
 """Restructured share of nearby changes from which something moves: the geometric mean of its largest value for light

@@ -9,10 +9,11 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.rig.check.faults import GOOD, HARMFUL, USABLE
+from decogs.rig.check.plan import document, listed, plan, thumbnail
+from decogs.rig.check.rig_check import CameraCheck
+
 from .analyse import Analysis
-from .faults import GOOD, HARMFUL, USABLE
-from .plan import document, listed, plan, thumbnail
-from .rig_check import CameraCheck
 
 U8 = NDArray[np.uint8]
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from decogs.rig.check.rig_statistics import RigStatistics
+
 from ..settings.encode import EncodeSettings
 from .effect import Decision, Evidence, cameras_beyond, make_decision, reason_of
-from .rig_statistics import RigStatistics
 
 _ROUNDING_LEVELS = 0.3
 """Deviation of rounding to 8 bits, in levels: 1 / sqrt 12, rounded up."""

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from decogs.decoder.rasterise.native import RowArray
 from decogs.formats.cameras import Camera
+from decogs.formats.colours.srgb import BLACK as BLACK
+from decogs.formats.colours.srgb import Colour as Colour
 from decogs.formats.splats import FloatArray, Splats
 
 from ..settings.optimiser import LearningRates
@@ -139,10 +141,6 @@ class Optimiser(Protocol):
     def copy_momentum(self, other: Any, rows: RowArray, theirs: RowArray) -> None:
         """Takes over the momentum of an ``other`` of its kind: of its rows ``theirs`` for ``rows``."""
 
-
-Colour: TypeAlias = "tuple[float, float, float]"
-"""Red, green and blue, display-referred, 0 to 1."""
-BLACK: Colour = (0.0, 0.0, 0.0)
 
 Drawable: TypeAlias = "Splats | Optimiser"
 """What can be drawn: values in the host's memory, which travel at every draw, or those under training, in place."""

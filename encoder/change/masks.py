@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
+from decogs.rig.parallel import side_by_side
+from decogs.rig.pictures.dropouts import FROZEN, blankness, repeats
+from decogs.rig.pictures.noise import frame_noise
 
-from ..input.dropouts import FROZEN, blankness, repeats
-from ..parallel import side_by_side
 from ..settings.frame import MaskSettings
-from .noise import frame_noise
 
 BoolArray = NDArray[np.bool_]
 
@@ -152,8 +152,9 @@ class MaskMemory:
 
     ``references``: pictures (3, H, W) that the next ones are compared with. ``previous``: those of the frame
     before. ``blank``: whether the first picture shows nothing. ``trained_errors``: 8-bit levels, of a trained
-    picture; None where none is known. ``light_only``: light alone changed the frame before. ``subject``: the
-    pictures are of a subject alone, which has left where all are of one colour: that is no dropout.
+    picture; None where none is known. ``light_only``: light alone changed the frame before. ``relit``: in some
+    frame light changed more than steps follow. ``subject``: the pictures are of a subject alone, which has left where
+    all are of one colour: that is no dropout.
     """
 
     references: Sequence[FloatArray]
@@ -161,6 +162,7 @@ class MaskMemory:
     blank: Sequence[bool]
     trained_errors: Sequence[float] | None = None
     light_only: bool = False
+    relit: bool = False
     subject: bool = False
 
     @classmethod
@@ -227,12 +229,13 @@ class MaskMemory:
         *,
         moved: bool,
         rendered: Sequence[FloatArray] | None = None,
+        relit: bool = False,
         threads: int = 1,
     ) -> MaskMemory:
         """After the regions of interest were trained; ``moved``: including positions.
 
         ``rendered``: the scene's renderings, where training may have missed the pictures. Pixels with a larger error
-        than that of a trained picture keep their reference.
+        than that of a trained picture keep their reference. ``relit``: light changed more than steps follow.
         """
 
         def reference(index: int) -> FloatArray:
@@ -247,7 +250,8 @@ class MaskMemory:
         with side_by_side(threads) as each:
             references = list(each(reference, range(len(masks))))
         faint_light = float(np.median([mask.faint_light for mask in masks]))
-        return replace(self, references=references, light_only=not moved and faint_light > _MIN_LIGHT_ONLY_FRACTION)
+        light_only = not moved and faint_light > _MIN_LIGHT_ONLY_FRACTION
+        return replace(self, references=references, light_only=light_only, relit=self.relit or relit)
 
     def advance(
         self,

@@ -15,21 +15,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from decogs.codec.digest import digest
-from decogs.formats.callbacks import OnProgress, OnWarning
+from decogs.codec.scene.digest import digest
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import STREAM, GrowingFile, Output, check_outputs, is_device, write_whole
+from decogs.formats.files.outputs import STREAM, GrowingFile, Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import Rig, open_rig, without_cameras
+from decogs.formats.system.callbacks import OnProgress, OnWarning
+from decogs.rig.mattes import open_mattes
+from decogs.rig.pictures.ingest import frame_span
+from decogs.rig.pictures.recording_digests import is_current
 
 from ..backends import check_device
 from ..encoding import chosen_settings, files_of_job, source_of, wanted_effects
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
-from ..input.ingest import frame_span
-from ..input.mattes import open_mattes
-from ..input.recordings import is_current
 from ..input.sound import AUTO, NONE
-from ..job import EncodeJob, PathLike
+from ..job.job import EncodeJob, PathLike
 from ..output.resume import is_expendable
 from ..parts.base import Base, read_base
 from ..parts.joining import JoinReport, join

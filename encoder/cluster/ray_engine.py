@@ -11,7 +11,7 @@ from typing import Any
 
 from decogs.formats.errors import TryAgainError, UsageError
 
-from ..job import EncodeJob
+from ..job.job import EncodeJob
 from .tasks import Outcome, run_part
 
 LOCAL = "local"

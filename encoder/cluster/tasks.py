@@ -10,7 +10,7 @@ from pathlib import Path
 from decogs.formats.errors import DecogsError, TryAgainError
 
 from ..encoding import encode
-from ..job import EncodeJob
+from ..job.job import EncodeJob
 from ..output.observer import EncodeObserver
 from ..output.reports import FrameReport
 

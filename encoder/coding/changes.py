@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.deltas import Delta, difference
-from decogs.codec.lattice import Lattice, in_steps, nearest_points, quantise
-from decogs.codec.state import ARRAYS, Attributes, State, take_rows
+from decogs.codec.packets.deltas import Delta, difference
+from decogs.codec.scene.lattice import Lattice, in_steps, nearest_points, quantise
+from decogs.codec.scene.state import ARRAYS, Attributes, State, take_rows
 from decogs.formats.splats import Splats
 
 from ..settings.frame import SignificanceSettings

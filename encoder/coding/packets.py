@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from decogs.codec.corrections import CorrectedCameras, Corrections, write_corrections
-from decogs.codec.deltas import Delta, apply_delta
-from decogs.codec.frame_payload import split_payload
-from decogs.codec.header import StreamHeader
-from decogs.codec.state import State
-from decogs.codec.syntax import Coded, payload_costs, write_delta, write_key, write_skip
-from decogs.formats.container import Packet, PacketKind
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras, Corrections, write_corrections
+from decogs.codec.packets.deltas import Delta, apply_delta
+from decogs.codec.packets.frame_payload import split_payload
+from decogs.codec.packets.syntax import Coded, payload_costs, write_delta, write_key, write_skip
+from decogs.codec.scene.state import State
+from decogs.formats.stream.container import Packet, PacketKind
 
-from ..settings.encode import EncodeSettings
 from ..settings.frame import SignificanceSettings
 from ..training.method import TrainedFrame
 from .changes import delta_of
@@ -27,9 +26,9 @@ class Written:
     costs: dict[str, int]
 
 
-def key_packet(header: StreamHeader, state: State, corrections: Corrections, level: int) -> Written:
-    """A keyframe in which nothing is left of a scene before it, of the state's frame. ``level``: zstd's."""
-    return _packet(PacketKind.KEY, state.frame, write_key(state, level=level), corrections, header.corrected)
+def key_packet(header: StreamHeader, state: State, corrections: Corrections) -> Written:
+    """A keyframe in which nothing is left of a scene before it, of the state's frame."""
+    return _packet(PacketKind.KEY, state.frame, write_key(state), corrections, header.corrected)
 
 
 def frame_packet(
@@ -38,23 +37,23 @@ def frame_packet(
     trained: TrainedFrame | None,
     significance: SignificanceSettings,
     corrections: Corrections,
-    settings: EncodeSettings,
     *,
+    segment: int = 0,
     whole: bool = False,
 ) -> Written:
     """A later ``frame``, counted from the stream's first, as key, delta or skip, whichever is smallest.
 
-    ``trained``: what it changes of the scene, None for nothing. ``whole``: the decoder's state is not the scene's
-    (`Scene.gone_back`), so the frame is a keyframe.
+    ``trained``: what it changes of the scene, None for nothing. ``segment``: frames between keyframes.
+    ``whole``: the decoder's state is not the scene's (`Scene.roll_back`), so the frame is a keyframe.
     """
-    delta, level = _delta(scene, trained, significance), settings.zstd_level
-    if whole or (settings.segment and frame % settings.segment == 0):
+    delta = _delta(scene, trained, significance)
+    if whole or (segment and frame % segment == 0):
         after = replace(scene.state, frame=frame) if delta is None else apply_delta(scene.state, delta)
-        kind, coded = PacketKind.KEY, write_key(after, first=scene.first, level=level)
+        kind, coded = PacketKind.KEY, write_key(after, first=scene.first)
     elif delta is None:
         kind, coded = PacketKind.SKIP, write_skip(scene.state)
     else:
-        kind, coded = PacketKind.DELTA, write_delta(scene.state, delta, level=level)
+        kind, coded = PacketKind.DELTA, write_delta(scene.state, delta)
     return _packet(kind, frame, coded, corrections, scene.header.corrected)
 
 

@@ -14,8 +14,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
+from decogs.formats.stream.container import PacketKind
 
 from ..methods import require_sparse
 from ..settings.checked import MOST_BYTES, MOST_LOSS

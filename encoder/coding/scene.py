@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decogs.codec.deltas import apply_delta
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import dequantise
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import State, same_values
-from decogs.formats.container import Packet, PacketKind
+from decogs.codec.scene.lattice import dequantise
+from decogs.codec.scene.state import State, same_values
 from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.stream.container import Packet, PacketKind
 
 from ..settings.frame import SignificanceSettings
 from ..training.method import TrainedFrame
@@ -42,14 +42,16 @@ class Scene:
     splats: Splats
 
     @classmethod
-    def open(cls, header: StreamHeader, packet: Packet) -> Scene:
+    def open(cls, header: StreamHeader, key: State) -> Scene:
         """The scene of a stream's first keyframe."""
-        state = reconstruct(None, packet, header)
-        return cls(header, state, state, dequantise(state, header.lattice))
+        return cls(header, key, key, dequantise(key, header.lattice))
 
-    def after(self, packet: Packet) -> Scene:
-        """The scene after the next packet, as a decoder has it."""
-        state = reconstruct(self.state, packet, self.header, first=self.first)
+    def read(self, packet: Packet) -> State:
+        """The state after the next packet, as a decoder has it."""
+        return reconstruct(self.state, packet, self.header, first=self.first)
+
+    def after(self, state: State) -> Scene:
+        """The scene whose next state is ``state``."""
         return self._with(state) if not same_values(self.state, state) else replace(self, state=state)
 
     def with_changes(self, trained: TrainedFrame, significance: SignificanceSettings) -> Scene:
@@ -82,12 +84,10 @@ class Scene:
         motion[now] = steps * np.asarray(self.header.lattice.means)
         return motion
 
-    def begins_anew(self, packet: Packet) -> bool:
-        """Whether a packet is the keyframe of another scene: all its Gaussians are younger than any before."""
-        if packet.kind != PacketKind.KEY:
-            return False
-        ids = reconstruct(self.state, packet, self.header, first=self.first).ids
-        return bool(len(ids)) and int(ids[0]) >= self.state.next_id
+    def is_left_by(self, packet: Packet, after: State) -> bool:
+        """Whether the next packet is another scene's keyframe: the state ``after`` it has younger Gaussians only."""
+        is_key = packet.kind == PacketKind.KEY
+        return is_key and bool(len(after.ids)) and int(after.ids[0]) >= self.state.next_id
 
     def _with(self, state: State) -> Scene:
         return replace(self, state=state, splats=dequantise(state, self.header.lattice))

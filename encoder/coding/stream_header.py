@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from decogs.codec.corrections import CorrectedCameras, Corrections
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import Lattice
-from decogs.codec.sound import SoundTrack
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras, Corrections
+from decogs.codec.packets.sound import SoundTrack
+from decogs.codec.scene.lattice import Lattice
 from decogs.formats.cameras import is_distorted
 from decogs.formats.rigs import Rig
+from decogs.rig.pictures.ingest import Ingest
+from decogs.rig.pictures.recording_digests import setting_of
 
-from ..input.ingest import Ingest
-from ..input.recordings import setting_of
 from ..settings.encode import EncodeSettings
 
 

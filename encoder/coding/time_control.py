@@ -20,6 +20,7 @@ from decogs.formats.errors import UsageError
 
 from ..methods import require_sparse
 from ..settings.encode import EncodeSettings
+from ..training.schedule import UNKNOWN_PACE, Pace
 
 TIME_TOLERANCE = 0.05
 """By which share of the budget the mean of a clip may be above it; a miss is reported beyond it."""
@@ -81,7 +82,7 @@ class TimeControl:
 
     ``saved``: unused seconds of the frames so far; ``kept``: those of the ``deferred`` frames since the last trained
     one. ``beyond``: seconds of a frame beyond its deadline; ``after``: of the last one after training; None before the
-    first.
+    first. ``pace``: of training.
     """
 
     budget: float
@@ -90,6 +91,7 @@ class TimeControl:
     deferred: int = 0
     beyond: float | None = None
     after: float | None = None
+    pace: Pace = UNKNOWN_PACE
 
     def defers(self, seconds: Mapping[str, float], least: float) -> bool:
         """Whether to defer the next frame: to keep its time for the frame after it.
@@ -108,8 +110,12 @@ class TimeControl:
         """
         return time.perf_counter() + self._planned() - counted_seconds(seconds)
 
-    def record_time(self, seconds: Mapping[str, float], *, deferred: bool = False) -> TimeControl:
-        """The control after a frame; ``deferred``: it left its time to the next one."""
+    def record_time(
+        self, seconds: Mapping[str, float], *, deferred: bool = False, pace: Pace | None = None
+    ) -> TimeControl:
+        """The control after a frame; ``deferred``: it left its time to the next one; ``pace``: training's, if new."""
+        if pace is not None:
+            return replace(self, pace=pace).record_time(seconds, deferred=deferred)
         spared = self.budget - counted_seconds(seconds)
         if deferred and self._has_overspent():
             return replace(self, deferred=self.deferred + 1, saved=self.saved + spared)

@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats
+from decogs.rig.pictures.ingest import Ingest
 
 from ..backends import BLACK, TrainingKernel, training_kernel
 from ..backends.scene_views import SceneViews
 from ..input.compensation import Corrector, RenderView, corrector_of
-from ..input.ingest import Ingest
 from ..methods import method_of
 from ..settings.encode import EncodeSettings
 from ..training.method import FrameMethod
 from ..training.schedule import OnLoss, StoppingRule
-from .cross_fade import fade_cameras
-from .segment_starts import SegmentStarts
 
 
 @dataclass(frozen=True)
 class Context:
-    """The rig, the settings and the views in which frames are trained and drawn.
+    """The rig, the settings, and what trains and draws frames; nothing that changes from frame to frame.
 
-    ``views``: the training views; ``fade_views``: where two closed segments are compared. Both draw the
-    scene that is asked for. ``corrector``: of the cameras whose drift is compensated, or None. ``starts``: those of
-    closed segments after a cut. ``on_loss`` follows every training step.
+    ``corrector``: of the cameras whose drift is compensated, or None. ``on_loss`` follows every training step.
     """
 
     ingest: Ingest
     settings: EncodeSettings
     kernel: TrainingKernel
-    views: SceneViews
-    fade_views: SceneViews
     method: FrameMethod
     corrector: Corrector | None
-    starts: SegmentStarts
     seed: int
     threads: int
     on_loss: OnLoss | None = None
@@ -53,28 +44,25 @@ class Context:
         on_loss: OnLoss | None = None,
     ) -> Context:
         """Raises UsageError for a device or a method that is not there, or a camera that cannot be compensated."""
-        kernel = training_kernel(device, threads, ingest.background or BLACK)
-
-        def cameras() -> Sequence[Camera]:
-            return [view.pinhole for view in ingest.views]
-
         return cls(
             ingest,
             settings,
-            kernel,
-            SceneViews(kernel, cameras, ingest.rig.timeline.late() if _follows_frame_by_frame(settings) else None),
-            SceneViews(kernel, lambda: fade_cameras(cameras())),
+            training_kernel(device, threads, ingest.background or BLACK),
             method_of(settings),
             corrector_of(ingest.views, settings.corrections),
-            SegmentStarts(ingest, settings.segment),
             seed,
             threads,
             on_loss,
         )
 
-    def renderer(self, scene: Splats) -> RenderView:
-        """Renders the ``scene`` through a training view, by number; views are kept from frame to frame."""
-        return self.fresh_renderer(scene) if self.method.dense else lambda number: self.views.of(scene)[number].rgb
+    def new_views(self) -> SceneViews:
+        """The training views, in which nothing is drawn yet."""
+        late = self.ingest.rig.timeline.late() if _follows_frame_by_frame(self.settings) else None
+        return SceneViews(self.kernel, lambda: [view.pinhole for view in self.ingest.views], late)
+
+    def renderer(self, views: SceneViews, scene: Splats) -> RenderView:
+        """Renders the ``scene`` through a training view, by number; ``views``: those kept from frame to frame."""
+        return self.fresh_renderer(scene) if self.method.dense else lambda number: views.of(scene)[number].rgb
 
     def fresh_renderer(self, scene: Splats) -> RenderView:
         """Renders the ``scene`` through a training view, by number, and keeps nothing."""

@@ -6,14 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from decogs.codec.corrections import Corrections
+from decogs.codec.packets.corrections import Corrections
+from decogs.codec.scene.state import State
 from decogs.formats.splats import FloatArray
+from decogs.rig.pictures.ingest import RigFrame
 
 from ..change.cuts import shows_another_scene
 from ..change.flashes import MAX_FLASH_FRAMES, changes_most, is_missed, matches, may_be_flash
 from ..change.masks import PixelChange, usable_views
 from ..coding.scene import Scene
-from ..input.ingest import RigFrame
 from ..stopwatch import Stopwatch
 from .context import Context
 from .memory import BeforeFlash, Memory
@@ -30,15 +31,28 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class PendingFrame:
-    """A frame to encode: as recorded, compensated (``pictures``), and the corrections between the two.
+    """A frame to encode: as recorded, compensated, the corrections between the two, and what happened in it.
 
-    ``restarted``: the scene before it is the first keyframe's, since the frame begins a closed segment.
+    ``scene``, ``memory``: what it goes on from. ``changes``: where each picture changed. ``restarted``: the scene is
+    the first keyframe's, since the frame begins a closed segment. ``is_return``: a flash is over, so that the decoder's
+    state is another than that of ``scene``. ``replayed``: the state after it, where an earlier encode wrote it.
     """
 
     recorded: RigFrame
     compensated: RigFrame
     corrections: Corrections
+    scene: Scene
+    memory: Memory
+    kind: Kind = Kind.CHANGE
+    changes: Sequence[PixelChange] = ()
     restarted: bool = False
+    is_return: bool = False
+    replayed: State | None = None
+
+    @property
+    def index(self) -> int:
+        """Its number within the stream."""
+        return self.recorded.index - self.scene.header.first_frame
 
     @property
     def pictures(self) -> Sequence[FloatArray]:
@@ -46,69 +60,56 @@ class PendingFrame:
         return self.compensated.training
 
 
-@dataclass(frozen=True)
-class Event:
-    """What happened, with the ``scene`` and ``memory`` that the frame goes on from.
-
-    ``changes``: where each picture changed. ``is_return``: a flash is over, so that the decoder's state is another than
-    that of ``scene``.
-    """
-
-    kind: Kind
-    scene: Scene
-    memory: Memory
-    changes: Sequence[PixelChange]
-    is_return: bool = False
-
-
-def what_happened(context: Context, scene: Scene, memory: Memory, frame: PendingFrame, watch: Stopwatch) -> Event:
-    """What a frame shows, and the scene that it goes on from: the one before a flash, once that is over."""
+def what_happened(context: Context, frame: PendingFrame, watch: Stopwatch) -> PendingFrame:
+    """The frame with what it shows, and the scene that it goes on from: the one before a flash, once that is over."""
     settings = context.settings
     lost = frame.recorded.lost_views(context.ingest.views)
     if context.method.dense:
         kind = Kind.NOTHING if len(lost) == len(frame.pictures) else Kind.EVERYTHING
-        return Event(kind, scene, memory, [])
+        return replace(frame, kind=kind)
     with watch.stage("masks"):
-        scene, memory, is_return = _after_flash(scene, memory, frame, context)
+        frame = _after_flash(frame, context)
         if not settings.frame_effects:
-            return Event(Kind.NOTHING, scene, memory, [], is_return)
+            return replace(frame, kind=Kind.NOTHING)
+        scene, memory = frame.scene, frame.memory
         changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads, lost=lost)
         kind = Kind.CHANGE
-        if is_missed(memory.masks, frame.pictures, context.views.pictures(scene.splats), changes):
+        if is_missed(memory.masks, frame.pictures, memory.views.pictures(scene.splats), changes):
             kind = Kind.EVERYTHING
         elif changes_most(changes):
-            if _is_cut(context, memory, frame, changes):
-                return Event(Kind.CUT, scene, memory, changes, is_return)
+            if _is_cut(context, frame, changes):
+                return replace(frame, kind=Kind.CUT, changes=changes)
             if memory.before_flash is None and may_be_flash(memory.masks, frame.pictures, settings.frame.masks):
                 before = BeforeFlash(frame.recorded.index, scene.state, memory.motion, memory.masks)
                 memory = replace(memory, before_flash=before)
-    return Event(kind, scene, memory, changes, is_return)
+    return replace(frame, kind=kind, memory=memory, changes=changes)
 
 
-def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Context) -> tuple[Scene, Memory, bool]:
-    """Scene and memory from before a flash if the pictures are those again; and whether they are."""
-    kept = memory.before_flash
+def _after_flash(frame: PendingFrame, context: Context) -> PendingFrame:
+    """The frame with scene and memory from before a flash if its pictures are those again."""
+    memory, kept = frame.memory, frame.memory.before_flash
     if kept is None:
-        return scene, memory, False
+        return frame
     frames = frame.recorded.index - kept.since
     if matches(kept.masks, frame.pictures, context.settings.frame.masks):
         # What moved before the flash has moved on.
         motion = kept.motion.defer(frames)
-        return scene.roll_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
+        memory = replace(memory, motion=motion, masks=kept.masks, before_flash=None)
+        return replace(frame, scene=frame.scene.roll_back(kept.state), memory=memory, is_return=True)
     if frames > MAX_FLASH_FRAMES:
-        memory = replace(memory, before_flash=None)
-    return scene, memory, False
+        return replace(frame, memory=replace(memory, before_flash=None))
+    return frame
 
 
-def _is_cut(context: Context, memory: Memory, frame: PendingFrame, changes: Sequence[PixelChange]) -> bool:
-    used = usable_views(changes)
-    # A keyframe needs every camera; a segment may start from one that is there.
-    if not context.settings.cuts or context.settings.time_budget is not None:
+def _is_cut(context: Context, frame: PendingFrame, changes: Sequence[PixelChange]) -> bool:
+    # A keyframe takes the time of many frames.
+    if context.settings.time_budget is not None:
         return False
+    # It needs every camera; a segment may start from one that is there.
+    used = usable_views(changes)
     if len(used) < len(changes) and not frame.restarted:
         return False
     # References whose pixels are of several frames have edges of their own.
-    now, *before = (
-        [pictures[i] for i in used] for pictures in (frame.pictures, memory.masks.references, memory.masks.previous)
-    )
+    masks = frame.memory.masks
+    now, *before = ([shown[i] for i in used] for shown in (frame.pictures, masks.references, masks.previous))
     return all(shows_another_scene(now, pictures) for pictures in before)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from decogs.codec.state import State
+from decogs.codec.scene.state import State
+from decogs.rig.stage.stage import Stage
 
+from ..backends.scene_views import SceneViews
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
 from ..input.compensation import CorrectionMemory
-from ..input.ingest import RigFrame
-from ..keyframe.backdrop.stage import Stage, find_stage
 from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion
 from .context import Context
-from .segment_starts import SegmentStart
+from .segment_starts import SceneStart, SegmentStarts
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class BeforeFlash:
 class Memory:
     """What a frame hands to the next.
 
-    ``first``: the stream's first frame, to which closed segments return; None in other streams. ``rate`` and ``time``
-    keep to budgets, where there are some. ``stage``: the scene's, if it is one.
+    ``views``: the training views, which keep what was drawn last. ``starts``: where closed segments start from; None in
+    other streams. ``rate`` and ``time`` keep to budgets, where there are some. ``stage``: the scene's, if it is one.
     """
 
     trainer: FrameTrainer
@@ -44,28 +44,29 @@ class Memory:
     corrections: CorrectionMemory | None
     rate: RateControl | None
     time: TimeControl | None
+    views: SceneViews
     stage: Stage | None = None
     before_flash: BeforeFlash | None = None
-    first: SegmentStart | None = None
+    starts: SegmentStarts | None = None
 
 
 def new_memory(
     context: Context,
     scene: Scene,
-    frame: RigFrame,
-    corrections: CorrectionMemory | None,
+    start: SceneStart,
     *,
+    views: SceneViews,
     time: TimeControl | None,
-    first: SegmentStart | None,
+    starts: SegmentStarts | None,
 ) -> Memory:
-    """The memory after a ``scene``'s first ``frame``, compensated: nothing is left of the frames before."""
+    """The memory after the ``start`` of a ``scene``: nothing is left of the frames before."""
     settings = context.settings
-    rendered = None if context.method.dense else context.views.pictures(scene.splats)
+    rendered = None if context.method.dense else views.pictures(scene.splats)
     trainer = context.method.trainer(
         training_context(
             context.kernel,
             context.ingest.views,
-            context.views,
+            views,
             settings,
             scene.splats,
             seed=context.seed,
@@ -75,13 +76,14 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(frame.training, rendered, subject=bool(frame.alpha)),
+        MaskMemory.begin(start.frame.training, rendered, subject=bool(start.frame.alpha)),
         Motion.at_rest(len(scene.state)),
-        corrections,
+        start.corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,
-        None if context.method.dense else find_stage(context.ingest.views, frame),
-        first=first,
+        views,
+        start.stage,
+        starts=starts,
     )
 
 
@@ -92,16 +94,17 @@ def restart_at_segment(
 
     Such a frame starts from the first keyframe; nothing is left of the frames before it.
     """
-    if memory.first is None or frame % context.settings.segment:
+    if memory.starts is None or frame % context.settings.segment:
         return scene, memory, False
-    return *restart_from(context, scene, memory, memory.first, frame, watch), True
+    return *restart_from(context, scene, memory, memory.starts.first, frame, watch), True
 
 
 def restart_from(
-    context: Context, scene: Scene, memory: Memory, start: SegmentStart, frame: int, watch: Stopwatch
+    context: Context, scene: Scene, memory: Memory, start: SceneStart, frame: int, watch: Stopwatch
 ) -> tuple[Scene, Memory]:
     """Scene and memory before ``frame``, which begins a closed segment that starts from there."""
     with watch.stage("commit"):
         scene = scene.restart(start.state, frame, context.settings.segment)
         corrections = None if start.corrections is None else start.corrections.restart()
-        return scene, new_memory(context, scene, start.frame, corrections, time=memory.time, first=memory.first)
+        start, starts = replace(start, corrections=corrections), memory.starts
+        return scene, new_memory(context, scene, start, views=memory.views, time=memory.time, starts=starts)

@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decogs.codec.state import State, changed_between
+from decogs.codec.scene.state import State, changed_between
+from decogs.rig.pictures.ingest import RigFrame
 
 from ..backends.scene_views import SceneViews
 from ..coding.scene import Scene
-from ..input.ingest import RigFrame
 from ..settings.encode import EncodeSettings
 from .context import Context
-from .cross_fade import CrossFade
-from .encode_frame import Encoded, Task, encode_change, observe
+from .cross_fade import CrossFade, fade_cameras
+from .encode_frame import Encoded, Task, compensate_and_classify, train_and_code
 from .events import Kind
 from .memory import Memory
 
@@ -80,17 +80,19 @@ class NextSegment:
 def train_next_segment(context: Context, scene: Scene, memory: Memory, frames: Sequence[RigFrame]) -> NextSegment:
     """Trains the next segment backwards from its start: ``frames`` are those before it and its first one."""
     start, unlogged = frames[-1].index, replace(context, on_loss=None)
-    origin, first = scene.first, None  # type: State, Encoded | None
+    origin = scene.first
+    first: Encoded | None = None
     scenes: dict[int, Scene] = {}
     for place, frame in enumerate(reversed(frames)):
         # Frames are counted on from the start, not back, as an encode expects.
         task = Task(replace(frame, index=start + place))
-        pending, event = observe(unlogged, scene, memory, task)
-        if event.kind is Kind.CUT:
+        pending = compensate_and_classify(unlogged, scene, memory, task)
+        if pending.kind is Kind.CUT:
             break
         if not place:
-            origin = event.scene.state
-        encoded = encode_change(unlogged, event, pending, task)
+            origin = pending.scene.state
+        encoded = train_and_code(unlogged, pending, task)
         scene, memory, first = encoded.scene, encoded.memory, first or encoded
         scenes[frame.index] = scene
-    return NextSegment(start, origin, first, scenes, context.fade_views, context.settings.fading)
+    views = SceneViews(context.kernel, lambda: fade_cameras([view.pinhole for view in context.ingest.views]))
+    return NextSegment(start, origin, first, scenes, views, context.settings.fading)

@@ -8,20 +8,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.rig.stage.stage import BackdropStage
+
 from ..analysis.enabled import enabled_effects
 from ..backends import FixedView
 from ..change.flashes import changes_most
 from ..change.masks import FrameMask, full_masks, usable_views
 from ..change.selection import select, view_evidence
 from ..coding.rate_control import scaled_significance
-from ..coding.scene import Scene
-from ..keyframe.backdrop.stage import BackdropStage, Stage
 from ..settings.frame import FrameSettings, SelectionSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import missed_share
 from .context import Context
 from .cross_fade import CrossFade, with_exact_changes
-from .events import Event, Kind, PendingFrame
+from .events import Kind, PendingFrame
 from .memory import Memory
 
 _MOVING_WEIGHT_SHARE = 0.1
@@ -38,27 +38,16 @@ _MAX_MISSED_SHARE = 0.45
 
 
 @dataclass(frozen=True)
-class Selection:
-    """A frame's regions of interest, one mask a view (none for a dense method), and S_t, (N,)."""
+class FramePlan:
+    """How a frame is trained and coded: S_t, its effects by name, none where nothing is selected, and its settings.
+
+    ``masks``: the regions of interest, one a view, none for a dense method. ``selected``: S_t, (N,). ``light_only``:
+    those of S_t, (N,), that light alone changes, in a frame in which others move; else None. ``relit``: light has
+    changed more than steps follow. ``deferred``: it is not trained; the next frame gets its time.
+    """
 
     masks: Sequence[FrameMask]
     selected: NDArray[np.bool_]
-
-    @property
-    def share(self) -> float:
-        """Share of selected Gaussians, 0 to 1."""
-        return float(self.selected.mean()) if len(self.selected) else 0.0
-
-
-@dataclass(frozen=True)
-class FramePlan:
-    """How a frame is trained and coded: what is selected, its effects by name, none where nothing is, and its settings.
-
-    ``light_only`` (N,): the selected Gaussians that light alone changes, in a frame in which others move; else None.
-    ``relit``: light has changed more than steps follow. ``deferred``: it is not trained; the next frame gets its time.
-    """
-
-    selection: Selection
     effects: tuple[str, ...]
     settings: FrameSettings
     light_only: NDArray[np.bool_] | None = None
@@ -66,56 +55,64 @@ class FramePlan:
     deferred: bool = False
 
     @property
+    def share(self) -> float:
+        """Share of selected Gaussians, 0 to 1."""
+        return float(self.selected.mean()) if len(self.selected) else 0.0
+
+    @property
     def trains(self) -> bool:
         """Whether the frame is trained."""
         return bool(self.effects) and not self.deferred
 
 
-def find_selection(context: Context, event: Event, frame: PendingFrame, watch: Stopwatch) -> Selection:
-    """The masks around what changed, and the Gaussians that they select."""
-    population = len(event.scene.state)
-    if event.kind is Kind.EVERYTHING:
-        return Selection(full_masks(event.changes), np.ones(population, bool))
-    if event.kind is Kind.NOTHING:
-        return Selection([], np.zeros(population, bool))
+def find_masks(context: Context, frame: PendingFrame, watch: Stopwatch) -> Sequence[FrameMask]:
+    """The regions of interest around what changed."""
+    if frame.kind is Kind.EVERYTHING:
+        return full_masks(frame.changes)
+    if frame.kind is Kind.NOTHING:
+        return []
     with watch.stage("masks"):
-        masks = event.memory.masks.masks(
-            frame.pictures, event.changes, context.settings.frame.masks, threads=context.threads
-        )
+        settings = context.settings.frame.masks
+        return frame.memory.masks.masks(frame.pictures, frame.changes, settings, threads=context.threads)
+
+
+def find_selected(
+    context: Context, frame: PendingFrame, masks: Sequence[FrameMask], watch: Stopwatch
+) -> NDArray[np.bool_]:
+    """S_t, (N,): the Gaussians of the frame's scene that its ``masks`` select."""
+    population = len(frame.scene.state)
+    if frame.kind is Kind.EVERYTHING:
+        return np.ones(population, bool)
     if not any(mask.dilated.any() for mask in masks):
-        return Selection(masks, np.zeros(population, bool))
+        return np.zeros(population, bool)
     with watch.stage("selection"):
-        return Selection(masks, _select(context, event.scene, event.memory.stage, masks))
-
-
-def select_again(context: Context, scene: Scene, event: Event, selection: Selection) -> Selection:
-    """The same masks with S_t of a scene that was trained since."""
-    if event.kind is Kind.EVERYTHING:
-        return replace(selection, selected=np.ones(len(scene.state), bool))
-    return replace(selection, selected=_select(context, scene, event.memory.stage, selection.masks))
+        return _select(context, frame, masks)
 
 
 def plan_frame(
-    context: Context, event: Event, selection: Selection, frame: PendingFrame, fade: CrossFade | None, watch: Stopwatch
+    context: Context,
+    frame: PendingFrame,
+    masks: Sequence[FrameMask],
+    selected: NDArray[np.bool_],
+    fade: CrossFade | None,
+    watch: Stopwatch,
 ) -> FramePlan:
     """The settings with which a frame is trained and coded."""
-    settings, memory = context.settings, event.memory
-    effects, by_light = settings.frame_effects if selection.selected.any() else (), None
-    relit = bool(effects) and changes_most(event.changes) and _is_missed(context, event.scene, selection, frame)
+    settings, memory = context.settings, frame.memory
+    effects, by_light = settings.frame_effects if selected.any() else (), None
+    relit = bool(effects) and changes_most(frame.changes) and _is_missed(frame, masks)
     if relit:
         # Light reaches what a single view sees; where it clips, it changes edges, too.
-        selection = replace(selection, selected=np.ones(len(selection.selected), bool))
-    if effects and settings.detect_per_frame and selection.masks and not relit:
+        selected = np.ones(len(selected), bool)
+    if effects and settings.detect_per_frame and masks and not relit:
         with watch.stage("effects"):
-            found = enabled_effects(
-                settings, frame.pictures, memory.masks.references, selection.masks, threads=context.threads
-            )
+            found = enabled_effects(settings, frame.pictures, memory.masks.references, masks, threads=context.threads)
             effects, settings = found.effects, found.settings
             if found.moving is None:
-                relit = _is_missed(context, event.scene, selection, frame)
+                relit = _is_missed(frame, masks)
             else:
-                views = context.views.of(event.scene.splats)
-                by_light = light_only(views, selection, found.moving, settings.frame.selection)
+                views = memory.views.of(frame.scene.splats)
+                by_light = light_only(views, masks, selected, found.moving, settings.frame.selection)
     now = settings.frame
     if isinstance(memory.stage, BackdropStage):
         now = replace(now, significance=scaled_significance(now.significance, _STAGE_SIGNIFICANCE))
@@ -123,36 +120,38 @@ def plan_frame(
         now = replace(now, significance=memory.rate.significance(now.significance))
     settings_now = now if fade is None else with_exact_changes(now)
     deferred = bool(effects) and _is_deferred(memory, watch)
-    return FramePlan(selection, effects, settings_now, by_light, relit, deferred)
+    return FramePlan(masks, selected, effects, settings_now, by_light, relit, deferred)
 
 
-def _is_missed(context: Context, scene: Scene, selection: Selection, frame: PendingFrame) -> bool:
-    """Whether the ``scene`` clearly misses much of the regions of interest."""
-    shown = zip(context.views.pictures(scene.splats), frame.pictures, selection.masks, strict=True)
+def _is_missed(frame: PendingFrame, masks: Sequence[FrameMask]) -> bool:
+    """Whether the scene before the frame clearly misses much of the regions of interest."""
+    shown = zip(frame.memory.views.pictures(frame.scene.splats), frame.pictures, masks, strict=True)
     errors = [np.clip(drawn, 0, 1)[:, mask.dilated] - now[:, mask.dilated] for drawn, now, mask in shown]
     return missed_share(errors) > _MAX_MISSED_SHARE
 
 
 def _is_deferred(memory: Memory, watch: Stopwatch) -> bool:
     """Whether a frame that needs training is deferred, so that a later one has enough time."""
-    return memory.time is not None and memory.time.defers(watch.seconds, memory.trainer.min_seconds)
+    return memory.time is not None and memory.time.defers(watch.seconds, memory.time.pace.least)
 
 
-def _select(context: Context, scene: Scene, stage: Stage | None, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+def _select(context: Context, frame: PendingFrame, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
     """S_t. Of a plain stage's backdrop, whose places are known, each part may be seen by a single view."""
     used, settings = usable_views(masks), context.settings.frame.selection
-    views = context.views.of(scene.splats)
+    scene, stage = frame.scene.splats, frame.memory.stage
+    views = frame.memory.views.of(scene)
     evidence = [view_evidence(views[i], masks[i].dilated) for i in used]
     selected = select(evidence, settings)
     if stage is not None:
         of_any_view = select(evidence, replace(settings, min_views=1))
-        selected |= of_any_view & stage.on_backdrop(scene.splats.means)
+        selected |= of_any_view & stage.on_backdrop(scene.means)
     return selected
 
 
 def light_only(
     views: Sequence[FixedView],
-    selection: Selection,
+    masks: Sequence[FrameMask],
+    selected: NDArray[np.bool_],
     moving: Sequence[NDArray[np.bool_]],
     settings: SelectionSettings,
 ) -> NDArray[np.bool_]:
@@ -160,12 +159,12 @@ def light_only(
 
     ``moving``: the pixels of each view, (H, W), in and around what moves; the ``views`` show the scene.
     """
-    used = [index for index in usable_views(selection.masks) if moving[index].any()]
+    used = [index for index in usable_views(masks) if moving[index].any()]
     if not used:
-        return selection.selected
-    regions = [moving[index] & selection.masks[index].dilated for index in used]
+        return selected
+    regions = [moving[index] & masks[index].dilated for index in used]
     may_move = replace(settings, rule="weight", min_fraction=_MOVING_WEIGHT_SHARE)
-    return selection.selected & ~_select_within(views, used, regions, may_move)
+    return selected & ~_select_within(views, used, regions, may_move)
 
 
 def _select_within(

@@ -9,78 +9,78 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from decogs.codec.state import State
-from decogs.formats.container import Packet
+from decogs.codec.scene.state import State
 from decogs.formats.rigs import is_live
+from decogs.formats.stream.container import Packet
+from decogs.rig.pictures.dropouts import BLACK, blankness
+from decogs.rig.pictures.ingest import Ingest, RigFrame
+from decogs.rig.stage.stage import Stage
 
 from ..change.cuts import shows_another_scene
 from ..input.compensation import CorrectionMemory
-from ..input.dropouts import BLACK, blankness
-from ..input.ingest import Ingest, RigFrame
 
 
 @dataclass(frozen=True)
-class SegmentStart:
-    """A scene's first frame: its keyframe's state and packet, its pictures, compensated, and its corrections."""
+class SceneStart:
+    """A scene's first frame: its keyframe's state and packet, its pictures, compensated, its corrections and stage."""
 
     state: State
     packet: Packet
     frame: RigFrame
     corrections: CorrectionMemory | None
+    stage: Stage | None
 
 
 class SegmentStarts:
-    """Finds the cuts from which closed segments of so many frames start, and keeps the keyframe of the last one."""
+    """The stream's ``first`` frame; finds the cuts from which segments start, and keeps the last one's keyframe."""
 
-    def __init__(self, ingest: Ingest, segment: int) -> None:
-        self._ingest, self._segment = ingest, segment
-        self._kept: SegmentStart | None = None
+    def __init__(self, ingest: Ingest, segment: int, first: SceneStart) -> None:
+        self._ingest, self._segment, self.first = ingest, segment, first
+        self._kept: SceneStart | None = None
         self._cuts: dict[int, int] = {}
 
-    def keep(self, made: SegmentStart) -> None:
+    def keep(self, made: SceneStart) -> None:
         """Keeps a cut's keyframe, unless that of a later cut was made already."""
         if self._kept is None or self._kept.frame.index < made.frame.index:
             self._kept = made
 
-    def kept(self, frame: int) -> SegmentStart | None:
+    def kept(self, frame: int) -> SceneStart | None:
         """The keyframe of a cut in the rig's ``frame``, if it is the one that is kept."""
         return self._kept if self._kept is not None and self._kept.frame.index == frame else None
 
-    def before(
-        self, frame: RigFrame, first: RigFrame, train: Callable[[RigFrame], SegmentStart | None]
-    ) -> SegmentStart | None:
-        """The keyframe from which the segment starts that begins with ``frame``, another scene than in the ``first``.
+    def before(self, frame: RigFrame, train: Callable[[RigFrame], SceneStart | None]) -> SceneStart | None:
+        """The keyframe from which the segment starts that begins with ``frame``, another scene than in the first one.
 
         None where that is ``frame`` itself, or none can be trained. ``train``: makes the keyframe of a cut. A recording
         that goes on is not read twice: there it is the cut before.
         """
         if is_live(self._ingest.rig):
             return None if self._kept is None or self._kept.frame.index == frame.index else self._kept
-        cut = self._cut_before(frame, first)
+        cut = self._cut_before(frame)
         if cut == frame.index:
             return None
-        found = self.kept(cut) or train(next(self._ingest.frames(cut, cut + 1, first=first.index)))
+        found = self.kept(cut) or train(self._frame(cut))
         self._kept = found or self._kept
         return found
 
-    def _cut_before(self, frame: RigFrame, first: RigFrame) -> int:
+    def _cut_before(self, frame: RigFrame) -> int:
         """The rig's frame with which the scene of a segment's first ``frame`` began."""
-        starts, start = [frame.index], frame
+        first, starts, start = self.first.frame, [frame.index], frame
         while start.index not in self._cuts:
             at = start.index - self._segment
-            before = first if at == first.index else next(self._ingest.frames(at, at + 1, first=first.index))
+            before = first if at == first.index else self._frame(at)
             is_same = not shows_another_scene(start.training, before.training)
             if is_same and shows_another_scene(before.training, first.training):
                 start = before
                 starts.append(at)
             else:
-                self._cuts[start.index] = self._first_like(start, at, first)
+                self._cuts[start.index] = self._first_like(start, at)
         self._cuts |= dict.fromkeys(starts, self._cuts[start.index])
         return self._cuts[frame.index]
 
-    def _first_like(self, start: RigFrame, after: int, first: RigFrame) -> int:
+    def _first_like(self, start: RigFrame, after: int) -> int:
         """The first frame ``after`` another one that is unlike the one before it and like ``start``; else that."""
-        frames = self._ingest.frames(after, start.index, first=first.index)
+        frames = self._ingest.frames(after, start.index, first=self.first.frame.index)
         before = next(frames)
         for frame in frames:
             is_whole = not frame.lost and BLACK not in map(blankness, frame.training)
@@ -89,3 +89,6 @@ class SegmentStarts:
                 return frame.index
             before = frame
         return start.index
+
+    def _frame(self, index: int) -> RigFrame:
+        return next(self._ingest.frames(index, index + 1, first=self.first.frame.index))

@@ -14,15 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import Lattice
-from decogs.codec.state import ARRAYS, Attributes, State, all_rows
-from decogs.decoder.stream import open_stream
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.scene.lattice import Lattice
+from decogs.codec.scene.state import ARRAYS, Attributes, State, all_rows
+from decogs.decoder.reading.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
-
-from .ingest import Ingest
+from decogs.rig.pictures.ingest import Ingest
 
 _CAMERA_TOLERANCE = 1e-9
 """Relative and absolute: the same calibration read on another machine may differ in the last bits."""

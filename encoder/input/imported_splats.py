@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
-from decogs.formats.container import SIGNATURE
+from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS
 from decogs.formats.errors import UsageError
-from decogs.formats.regular_files import open_regular
+from decogs.formats.files.regular_files import open_regular
 from decogs.formats.splat_files import Room
 from decogs.formats.splat_files.reading import READABLE, SplatFile, read_splats
+from decogs.formats.stream.container import SIGNATURE
 
 
 @dataclass(frozen=True)

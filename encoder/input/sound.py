@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.sound import SLOWEST, SoundTrack
+from decogs.codec.packets.sound import SLOWEST, SoundTrack
 from decogs.decoder.sound.coding import coded
 from decogs.decoder.sound.packets import FrameSound
-from decogs.formats.chapters import chapters_from
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import FrameSource, Rig
 from decogs.formats.rigs.timeline import RigIndex
-from decogs.formats.soundtracks import FULL_RATE, RATE, exactly, read_samples, read_sound, sound_channels, sound_title
+from decogs.formats.sound.tracks import FULL_RATE, RATE, exactly, read_samples, read_sound, sound_channels, sound_title
 from decogs.formats.splats import FloatArray
-from decogs.formats.videos import VideoSource
+from decogs.formats.videos.chapters import chapters_from
+from decogs.formats.videos.reading import VideoSource
 
 AUTO, NONE = "auto", "none"
 _SECONDS_COMPARED = 30.0

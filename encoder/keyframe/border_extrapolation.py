@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.resizing import resized, resized_plane
+from decogs.decoder.cameras.resizing import resized, resized_plane
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, scale_camera, turned
 from decogs.formats.splats import FloatArray, Splats, round_splats
+from decogs.rig.mattes.filling import push_pull
+from decogs.rig.pictures.ingest import View
 
 from ..backends import TrainingKernel
-from ..input.filling import push_pull
-from ..input.ingest import View
 from .first_points.depth_filling import fill_depths
 
 _SHRUNK_PIXELS_ACROSS = 96

@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from decogs.codec.corrections import Corrections
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import Lattice, quantise
-from decogs.codec.state import State
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import Corrections
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.scene.lattice import Lattice, quantise
+from decogs.codec.scene.state import State
 from decogs.formats.errors import RigError
+from decogs.rig.pictures.dropouts import BLACK, blankness
+from decogs.rig.pictures.ingest import Ingest, RigFrame, View
+from decogs.rig.stage.stage import PlainStage, Stage, find_stage
 
 from ..backends import TrainingKernel
 from ..input.compensation import Corrector
 from ..input.compensation.frame import match_colours
 from ..input.compensation.matching import find_colours
-from ..input.dropouts import BLACK, blankness
-from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import StoppingRule
-from .backdrop.stage import PlainStage, Stage, find_stage
 from .first_points import FirstPoints, first_points
 from .harmonics import trim_sh_degree
 from .large_pictures import fit_to_pictures
@@ -31,11 +31,16 @@ from .train import prealigned_pictures, train_keyframe
 
 @dataclass(frozen=True)
 class FirstFrame:
-    """A scene's first frame: its Gaussians on their ``lattice``, and how its cameras' ``colours`` differ, for good."""
+    """A scene's first frame: its Gaussians on their ``lattice``, and how its cameras' ``colours`` differ, for good.
+
+    ``recorded``: its pictures without these differences, and the ``stage`` in them, if they show one.
+    """
 
     state: State
     lattice: Lattice
     colours: Corrections
+    recorded: RigFrame
+    stage: Stage | None
 
 
 def train_first_frame(
@@ -85,11 +90,13 @@ def train_first_frame(
     colours: Corrections = {} if header is None else header.camera_colours
     with watch.stage("first_points"):
         points, stage = points_of(frame)
+        found = stage
         if header is None and settings.corrections.match_colours:
             shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
             colours = find_colours(ingest.views, frame.training, *shared)
             frame = match_colours(frame, ingest.views, colours)
-            stage = None if stage is None else find_stage(ingest.views, frame)
+            found = find_stage(ingest.views, frame)
+            stage = None if stage is None else found
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
@@ -116,7 +123,7 @@ def train_first_frame(
     if settings.detect_per_frame and header is None:
         values = trim_sh_degree(values)
     state, _ = keyframe_state(values, first_id=first_id)
-    return FirstFrame(state, trained.lattice, colours)
+    return FirstFrame(state, trained.lattice, colours, frame, found)
 
 
 def _check_not_black(frame: RigFrame, views: Sequence[View]) -> None:

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from decogs.codec.state import Attributes
+from decogs.codec.scene.state import Attributes
 from decogs.formats.splats import sh_degree_of
 
 MIN_SH_SHARE = 0.01

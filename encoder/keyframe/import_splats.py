@@ -13,22 +13,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
-from decogs.codec.state import Attributes
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.scene.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.scene.state import Attributes
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.rotations import rotation_matrices
-from decogs.formats.similarity import NO_CHANGE, Similarity, transformed_splats
+from decogs.formats.geometry.rotations import rotation_matrices
+from decogs.formats.geometry.similarity import NO_CHANGE, Similarity, transformed_splats
+from decogs.formats.geometry.up_direction import AXES, turn_between, up_of
 from decogs.formats.splats import Splats, logit, sh_degree_of, sigmoid, take_splats
-from decogs.formats.up_direction import AXES, turn_between, up_of
+from decogs.rig.pictures.ingest import Ingest, RigFrame
 
 from ..backends import TrainingKernel
+from ..backends.psnr import mean_psnr
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
-from ..input.ingest import Ingest, RigFrame
-from ..psnr import mean_psnr
 from ..settings.encode import EncodeSettings
 from .harmonics import trim_sh_degree
 

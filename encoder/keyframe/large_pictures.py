@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decogs.decoder.resizing import resized_plane
+from decogs.decoder.cameras.resizing import resized_plane
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.splats import FloatArray
 

@@ -16,17 +16,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
-from decogs.codec.state import Attributes
-from decogs.decoder.resizing import resized, resized_plane
+from decogs.codec.scene.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.scene.state import Attributes
+from decogs.decoder.cameras.resizing import resized, resized_plane
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, join_splats, round_splats, sigmoid, take_splats
+from decogs.rig.pictures.ingest import View, scene_extent
+from decogs.rig.stage.stage import Stage
 
 from ..backends import Colour, LossValue, RenderedPicture, TrainingKernel
+from ..backends.psnr import psnr_of
 from ..input.compensation import Corrector
-from ..input.ingest import View, scene_extent
 from ..output.reports import OnKeyframeStep
-from ..psnr import psnr_of
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from ..training.densification import clone_and_split
@@ -35,7 +36,6 @@ from ..training.rate_distortion import cheapest
 from ..training.schedule import WHOLE, StoppingRule, TargetWatch
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
-from .backdrop.stage import Stage
 from .border_extrapolation import border_extrapolation
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints
@@ -56,6 +56,9 @@ _MAX_STRETCH = 10.0
 """Largest ratio of a Gaussian's largest to its middle size: needles are wrong from other viewpoints."""
 _PATIENCE_CHECKS = 4
 """Checks without a new best after which training stops: the score of few tiles is noisy."""
+_RATES = LearningRates(means=4e-4, log_scales=1e-2, quaternions=3e-3, opacity_logits=0.05, sh_dc=1e-2, sh_rest=5e-4)
+"""Step sizes at the start, two to four times 3DGS's: a keyframe has a twentieth of its steps. That of means is in units
+of the rig's extent."""
 _MEANS_DECAY, _LATE_DECAY = 0.05, 0.2
 """What is left of the step sizes at the end: of positions over the schedule, of all over its second half."""
 
@@ -437,8 +440,8 @@ class _KeyframeTraining:
 
     def _rates(self, progress: float) -> LearningRates:
         progress, longest = self._fit.rate_progress(progress), self._fit.longer * self._extent
-        rates = self._settings.rates.scaled(_LATE_DECAY ** max(0.0, 2 * progress - 1))
-        return replace(rates, means=self._settings.rates.means * longest * _MEANS_DECAY**progress)
+        rates = _RATES.scaled(_LATE_DECAY ** max(0.0, 2 * progress - 1))
+        return replace(rates, means=_RATES.means * longest * _MEANS_DECAY**progress)
 
     def _densify(self, step: int) -> None:
         settings, progress = self._settings, step / self._settings.iterations

@@ -16,9 +16,9 @@ from ..registry import Fault, GuardedObject, Registry, described, guarded
 from ..settings.encode import EncodeSettings
 from ..training.densification import are_splats
 from ..training.method import FrameInput, FrameMethod, TrainedFrame
+from ..training.schedule import Pace
 from .decogs import DecogsTrainer
 from .paper import PaperTrainer
-from .threedgstream import BaselineTrainer
 
 
 def _wrong_frame(trained: object, frame: FrameInput) -> str:
@@ -38,6 +38,8 @@ def _wrong_frame(trained: object, frame: FrameInput) -> str:
         return "`values` that are not finite Splats with a row for each one kept"
     if trained.sensitivity is not None and not are_splats(trained.sensitivity, frame.scene, len(trained.kept)):
         return "`sensitivity` that is not finite Splats with a row for each one kept"
+    if not isinstance(trained.pace, Pace | None):
+        return f"`pace` as {described(trained.pace)}"
     if not are_splats(trained.added, frame.scene):
         return "`added` that are not finite Splats of the scene's SH degree"
     return ""
@@ -48,9 +50,8 @@ def _guarded_method(method: Any, fault: Fault) -> FrameMethod:
         raise fault(f"is no FrameMethod but {described(method)}")
 
     def wrong_trainer(trainer: object, *given: object) -> str:
-        least = getattr(trainer, "min_seconds", None)
-        good = isinstance(least, (int, float)) and callable(getattr(trainer, "train", None))
-        return "" if good else f"{described(trainer)}, which has no number `min_seconds` or no function `train`"
+        good = callable(getattr(trainer, "train", None))
+        return "" if good else f"{described(trainer)}, which has no function `train`"
 
     new = guarded(wrong_trainer)(method.trainer, fault)
     return replace(method, trainer=lambda context: GuardedObject(new(context), {"train": _wrong_frame}, fault))
@@ -59,11 +60,7 @@ def _guarded_method(method: Any, fault: Fault) -> FrameMethod:
 FRAME_METHODS: Registry[FrameMethod] = Registry(
     "method",
     "decogs.frame_methods",
-    {
-        "decogs": FrameMethod(DecogsTrainer),
-        "paper": FrameMethod(PaperTrainer),
-        "3dgstream": FrameMethod(BaselineTrainer, dense=True),
-    },
+    {"decogs": FrameMethod(DecogsTrainer), "paper": FrameMethod(PaperTrainer)},
     _guarded_method,
 )
 

@@ -1,8 +1,8 @@
 """The default method: the selected Gaussians follow the pictures, everything else stays.
 
 They start from the last displacement of their neighbourhood, and train for a number of steps that goes with what the
-frame misses. Its marks, in shares of the steps: emerging objects get Gaussians at a quarter, densification follows at
-half, and right after it changes that hardly show are reverted. On a stage, displacements are smoothed at both marks.
+frame misses. After a quarter of the steps emerging objects get Gaussians; after half of them densification follows, and
+right after it changes that hardly show are reverted. On a stage, displacements are smoothed at both times.
 Gradients and Adam's moments exist for the selected Gaussians only. Equations: docs/METHOD.md, "Focus-aware loss" to
 "Optimiser-state reset".
 """
@@ -21,7 +21,7 @@ from ..training.frame_training import FrameTraining, LossOfView, Step, frame_tra
 from ..training.losses import focus_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
 from ..training.relighting import relight
-from ..training.schedule import MAX_STRETCH, SearchTime, StepSchedule, iteration_factor, rates_at, seconds_at_least
+from ..training.schedule import MAX_STRETCH, Pace, StepSchedule, iteration_factor, rates_at, seconds_at_least
 from ..training.selective_densification import densify
 from ..training.significance import revert_insignificant
 from ..training.warm_start import shared_displacements
@@ -41,12 +41,10 @@ _MAX_PROBE_VIEWS = 4
 
 
 class DecogsTrainer:
-    """Trains the later frames of one stream. Between frames it keeps how long steps and searches take, nothing else."""
+    """Trains the later frames of one stream. Between frames it keeps nothing."""
 
     def __init__(self, context: TrainingContext, *, loss: LossOfView = focus_loss) -> None:
         self.context, self._loss = context, loss
-        self.min_seconds = self._step_seconds = 0.0
-        self._search = SearchTime()
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains the selected Gaussians; diverged training changes nothing. A deadline or a target ends it early."""
@@ -56,30 +54,32 @@ class DecogsTrainer:
         """The same with a ``work`` that exists, whose optimiser may remember."""
         began = time.perf_counter()
         training = frame_training(self.context, frame, self._loss)
-        probes = self._probes(training)
+        probes = _probes(training)
         before = training.squared_error(probes)
         _start_warm(work, frame)
         if frame.relit:
             relight(training, work)
         factor = _iteration_factor(training, work, probes)
         schedule = StepSchedule(frame.settings.joint_iterations, frame.stopping.deadline, factor=factor)
-        growth = _Growth(training, work, self._search)
+        growth = _Growth(training, work)
         _train(training, work, schedule, growth)
         work.remove(np.flatnonzero(training.is_free(work.values.means)))
         trained = training.outcome(work, work.optimiser, before, probes)
         if frame.stopping.deadline is not None:
-            self._step_seconds, _ = schedule.steps_seconds
-            self.min_seconds = seconds_at_least(time.perf_counter() - began - growth.searching, schedule)
+            step, _ = schedule.steps_seconds
+            least = seconds_at_least(time.perf_counter() - began - growth.searching, schedule)
+            trained = replace(trained, pace=Pace(step, least, growth.search))
         return trained if trained.rejected else replace(trained, truncated=schedule.is_truncated)
 
-    def _probes(self, training: FrameTraining) -> Sequence[int]:
-        """A sample of the used views for measuring errors: every third, fewer when time is short."""
-        deadline, every = training.frame.stopping.deadline, 3
-        if deadline is not None:
-            seconds = self._step_seconds * training.settings.joint_iterations
-            if seconds > deadline - time.perf_counter():
-                every = max(every, -(-len(training.used) // _MAX_PROBE_VIEWS))
-        return training.used[::every]
+
+def _probes(training: FrameTraining) -> Sequence[int]:
+    """A sample of the used views for measuring errors: every third, fewer when time is short."""
+    deadline, every = training.frame.stopping.deadline, 3
+    if deadline is not None:
+        seconds = training.frame.pace.step * training.settings.joint_iterations
+        if seconds > deadline - time.perf_counter():
+            every = max(every, -(-len(training.used) // _MAX_PROBE_VIEWS))
+    return training.used[::every]
 
 
 def _start_warm(work: WorkingSet, frame: FrameInput) -> None:
@@ -128,11 +128,11 @@ def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, gr
 class _Growth:
     """What joins the scene in a frame: emerging objects at a quarter of the schedule, clones and halves at half of it.
 
-    ``searching``: seconds of the search for emerging objects, in a frame with a deadline.
+    ``searching``: seconds of the search for emerging objects, in a frame with a deadline. ``search``: the time for it.
     """
 
-    def __init__(self, training: FrameTraining, work: WorkingSet, search: SearchTime) -> None:
-        self._training, self._work, self._search = training, work, search
+    def __init__(self, training: FrameTraining, work: WorkingSet) -> None:
+        self._training, self._work, self.search = training, work, training.frame.pace.search
         iterations = training.settings.joint_iterations
         self._from, self._at = iterations // 4, iterations // 2
         self._gathered = training.context.kernel.view_gradients(len(work.rows))
@@ -144,7 +144,7 @@ class _Growth:
         if schedule.reaches(self._at):
             densify(training, work, work.values, self._gathered)
         if schedule.reaches(self._from):
-            self.searching = add_emerging_in_time(training, work, schedule, self._search)
+            self.searching, self.search = add_emerging_in_time(training, work, schedule, self.search)
             self._gathered = training.context.kernel.view_gradients(len(work.rows))
 
     def after(self, schedule: StepSchedule, gradients: Gradients, view: int) -> None:

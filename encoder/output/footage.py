@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
-
-from ..input.ingest import View
-from ..parallel import side_by_side
+from decogs.rig.parallel import side_by_side
+from decogs.rig.pictures.ingest import View
 
 _POOR_MSE = 10 ** (-20 / 10)
 """Mean square error of 20 dB: what is better than that is no other footage, however plain the pictures are."""

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import open_in_place
+from decogs.formats.files.outputs import open_in_place
 
 S = TypeVar("S", bound="JsonLines")
 

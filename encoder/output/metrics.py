@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 
-from decogs.formats.container import PacketKind
+from decogs.formats.stream.container import PacketKind
 
 from .reports import FrameReport
 from .stream_output import StreamOutput

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TextIO
 
-from decogs.formats.command_line import printable
+from decogs.formats.cli.command_line import printable
 
 from .observer import EncodeObserver
 from .reports import FrameReport

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, TextIO
 
-from decogs.formats.progress import Progress, open_progress
+from decogs.formats.cli.progress import Progress, open_progress
 
 from .observer import EncodeObserver
 from .reports import FrameReport

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
-from decogs.formats.frame_ranges import frames_text
+from decogs.formats.frames.ranges import frames_text
 
 OnFrame = Callable[["FrameReport"], None]
 OnKeyframeStep = Callable[[int, int, float], None]

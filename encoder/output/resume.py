@@ -15,8 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.container import (
+from decogs.codec.header.header import StreamHeader
+from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.files.regular_files import open_regular
+from decogs.formats.stream.container import (
     FRAME_KINDS,
     IndexEntry,
     Packet,
@@ -25,12 +27,11 @@ from decogs.formats.container import (
     check_count,
     read_packet_at,
 )
-from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.regular_files import open_regular
+from decogs.rig.pictures.recording_digests import difference
 
-from ..input.recordings import difference
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
+from ..settings.keyframe import KeyframeSettings
 
 _PARAMETERS = {
     "frame.significance": "`quality` or `lossless`",
@@ -41,7 +42,6 @@ _PARAMETERS = {
     "target_psnr": "`target_psnr`",
     "segment": "`segment`",
     "closed": "`closed`",
-    "catch_up": "`settings`",
     "cross_fade": "`settings`",
     "held_out": "`holdout`",
     "first_frame": "`frames`",
@@ -57,7 +57,9 @@ _PARAMETERS = {
 """What asked for a setting that differs, by the beginning of its name in the header; the first that fits."""
 
 
-_FRAME = FrameSettings()
+_GROUPS = {"frame": FrameSettings(), "keyframe": KeyframeSettings()}
+_FORMER = ("catch_up", "cuts", "zstd_level")
+"""Settings of earlier releases, beside those in groups."""
 
 IsSuch = Callable[[StreamHeader, int], bool]
 """Whether a truncated stream may be replaced, by its header and its number of whole frames."""
@@ -185,7 +187,8 @@ def difference_of(was: Mapping[str, Any], now: Mapping[str, Any], other: str = "
     if was == now:
         return ""
     name, before, after = _difference(was, now)
-    if name.startswith("frame.") and not hasattr(_FRAME, name.split(".")[1]):
+    group, *inside = name.split(".")
+    if name in _FORMER or (inside and group in _GROUPS and not hasattr(_GROUPS[group], inside[0])):
         return f"was begun by another release of decogs: this one has no setting {name}"
     asked = next((f" ({asked})" for start, asked in _PARAMETERS.items() if name.startswith(start)), "")
     return f"was begun with {name} {_short(before)}, {other} {_short(after)}{asked}"

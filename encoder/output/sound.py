@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import islice
 
-from decogs.formats.container import PacketKind
+from decogs.formats.stream.container import PacketKind
 
 from ..input.sound import SoundSource
 from .stream_output import StreamOutput

@@ -1,7 +1,7 @@
 """Where a stream is written while it grows: beside its final name, or straight into a pipe.
 
 A file grows as ``NAME.part``, which no other encode can write meanwhile, and gets its name when it is whole
-(`decogs.formats.outputs`); what was complete when something went wrong stays in ``NAME.part``, a valid, shorter stream
+(`formats.files.outputs`); what was complete when something went wrong stays in ``NAME.part``, a valid, shorter stream
 that ``resume`` goes on with (`resume`).
 """
 
@@ -16,9 +16,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-from decogs.formats.container import StreamWriter
 from decogs.formats.errors import TryAgainError, UsageError
-from decogs.formats.outputs import Expendable, GrowingFile, Leftover, errors_named, is_device
+from decogs.formats.files.outputs import Expendable, GrowingFile, Leftover, errors_named, is_device
+from decogs.formats.stream.container import StreamWriter
 
 from .resume import Interrupted, IsSuch, find_interrupted, is_expendable
 

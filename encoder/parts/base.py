@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
 from decogs.codec.reconstruct import reconstruct
-from decogs.formats.container import FRAME_KINDS, IndexEntry, Packet, PacketKind, PacketReader
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.reasons import Reason
-from decogs.formats.regular_files import open_regular
+from decogs.formats.files.regular_files import open_regular
+from decogs.formats.stream.container import FRAME_KINDS, IndexEntry, Packet, PacketKind, PacketReader
+from decogs.formats.stream.reasons import Reason
 
 from ..analysis import AUTO, EFFECT_NAMES, EffectChoice, disable, with_effects
 from ..input.imported_keyframe import KeyframeSource

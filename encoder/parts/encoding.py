@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import chain, islice
 
-from decogs.formats.container import FRAME_KINDS, PacketKind, PacketReader
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind, PacketReader
+from decogs.rig.pictures.recording_digests import is_current
 
 from ..frame.context import Context
-from ..input.recordings import is_current
 from ..output.metrics import write_metrics
 from ..output.reports import EncodeReport, FrameReport
 from ..output.sound import SoundWriter

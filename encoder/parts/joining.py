@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.callbacks import OnProgress
-from decogs.formats.container import FRAME_KINDS, Packet, PacketKind, PacketReader, check_count, check_frame
+from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.frame_ranges import frames_text
-from decogs.formats.outputs import STREAM, Output, check_outputs
-from decogs.formats.regular_files import open_regular
+from decogs.formats.files.outputs import STREAM, Output, check_outputs
+from decogs.formats.files.regular_files import open_regular
+from decogs.formats.frames.ranges import frames_text
+from decogs.formats.stream.container import FRAME_KINDS, Packet, PacketKind, PacketReader, check_count, check_frame
+from decogs.formats.system.callbacks import OnProgress
 
 from ..output.resume import difference_of, difference_of_headers
 from ..output.stream_output import open_output

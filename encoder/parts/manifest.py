@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import zstandard
 
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames, frame_slice, frames_text
+from decogs.formats.frames.ranges import Frames, frame_slice, frames_text
 from decogs.formats.rigs import Rig, files_with
+from decogs.rig.pictures.ingest import RigFrame
 
-from ..input.ingest import RigFrame
 from ..settings.encode import EncodeSettings
 
 _PART_SETTING = "part"

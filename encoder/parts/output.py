@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import BinaryIO
 
-from decogs.codec.header import StreamHeader
-from decogs.formats.container import StreamWriter
+from decogs.codec.header.header import StreamHeader
+from decogs.formats.stream.container import StreamWriter
 
 from ..output.stream_output import StreamOutput, open_output
 from .manifest import Part, read_part, with_part

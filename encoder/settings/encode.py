@@ -8,9 +8,8 @@ from functools import reduce
 from operator import attrgetter, getitem
 from typing import Annotated, Any
 
-from decogs.codec.entropy import DEFAULT_LEVEL
-from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
+from decogs.formats.stream.container import MAX_FRAME
 
 from .checked import Bytes, Checked, OneOf, Within
 from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS, CorrectionSettings
@@ -19,7 +18,6 @@ from .keyframe import KeyframeSettings
 
 _OMITTED_DEFAULTS = (
     ("frame.focus.over", "region"),
-    ("cuts", True),
     ("frame_budget", None),
     ("time_budget", None),
     ("target_psnr", None),
@@ -39,13 +37,10 @@ class EncodeSettings(Checked):
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
     frame: FrameSettings = field(default_factory=FrameSettings)
     lattice_scale: Annotated[float, Within(1e-3, 1e3)] = 1.0  # of the default steps; more: smaller, less exact
-    zstd_level: Annotated[int, Within(1, 22)] = DEFAULT_LEVEL  # more: slower, smaller
-    method: str = "decogs"  # of later frames, a name in FRAME_METHODS; "3dgstream" is slower
+    method: str = "decogs"  # of later frames, a name in FRAME_METHODS; the bench's are slower
     segment: Annotated[int, Within(0, MAX_FRAME)] = 0  # frames between keyframes; fewer: larger, seek faster; 0: one
     closed: bool = False  # segments depend on no other: slower
-    catch_up: Annotated[int, Within(1, 1000)] = 3  # trainings of a closed segment's first frame; more: slower, larger
     cross_fade: Annotated[int, Within(0, 1000)] = 3  # frames that are faded into such a start; more: slower; 0: a jump
-    cuts: bool = True  # a new keyframe where the scene is another: slower, 6 to 8 dB better; not with a time budget
     frame_budget: Bytes | None = None  # mean bytes of a later frame; fewer: less exact; None: by frame.significance
     time_budget: Annotated[float, Within(1e-4, 1e6)] | None = None  # mean seconds of a later frame; None: all steps
     target_psnr: Annotated[float, Within(1e-9, 100)] | None = None  # dB at which training stops; more: slower; None: no
@@ -81,15 +76,15 @@ class EncodeSettings(Checked):
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log.
 
-        Omitted are what the dense baseline does not read, and unset budgets, targets, corrections and choices of
-        effects, so that streams started without such settings can still be resumed.
+        Omitted are what the bench's dense baseline does not read, and unset budgets, targets, corrections and choices
+        of effects, so that streams started without such settings can still be resumed.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(self) == usual]
         if (self.effects, self.detect_per_frame) == (PRESET_EFFECTS, False):
             omitted += ["effects", "detect_per_frame"]
         if not self.closed:
-            omitted += ["closed", "catch_up", "cross_fade"]
+            omitted += ["closed", "cross_fade"]
         if self.method == "3dgstream":
             omitted.append("frame")
         for path in omitted:

@@ -13,7 +13,6 @@ from .checked import (
     Loss,
     Multiple,
     OneOf,
-    Rate,
     Share,
     Steps,
     Within,
@@ -99,7 +98,6 @@ class FrameSettings(Checked):
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     joint_iterations: Steps = 100  # steps; more: slower, follows faster motion
     warm_start: Share = 0.0  # of the neighbourhood's last displacement, to begin with; no slower
-    grow_gradient: Rate = 1e-4  # mean view gradient from which a Gaussian is split (the paper's tau_d); less: slower
     grow_fraction: Share = 0.05  # of the selected Gaussians that a frame may add, at most; more: slower, larger
     prune_opacity: Share = 0.01  # below it a Gaussian is removed; 0: never, larger
     focus: FocusWeights = field(default_factory=FocusWeights)

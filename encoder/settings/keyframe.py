@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
-from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
+from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS
 
 from .checked import Checked, Count, Loss, Share, Steps, Within
-from .optimiser import LearningRates
 
 _SURROUNDINGS_SHARE = 0.025
 """Of the cap, for Gaussians beside the pictures."""
@@ -25,9 +24,6 @@ class KeyframeSettings(Checked):
     grow_every: Count = 100  # steps between additions of Gaussians; fewer: slower
     validation_fraction: Annotated[float, Within(0, 0.9)] = 0.02  # of the pixels, for early stopping; 0: off, slower
     validation_every: Count = 100  # steps between checks for early stopping; fewer: slower
-    rates: LearningRates = field(  # of the steps; means in units of the rig's extent
-        default_factory=lambda: LearningRates(4e-4, 1e-2, 3e-3, 0.05, 1e-2, 5e-4)
-    )
     settle_iterations: Steps = 300  # steps of fixing values on the lattice while others adapt; more: slower
     surroundings: Annotated[float, Within(0, 100)] = 0.0  # reach beside the pictures, in their widths; more: larger
     rd_lambda: Loss = 2.3e-3  # of the squared loss, in millionths, per bit; more: smaller, less exact; no slower

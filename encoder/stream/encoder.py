@@ -4,30 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-from decogs.codec.corrections import CorrectedCameras, Corrections
-from decogs.codec.digest import digest
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import Lattice, default_lattice
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras, Corrections
 from decogs.codec.reconstruct import reconstruct
-from decogs.formats.container import Packet
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import Lattice, default_lattice
 from decogs.formats.errors import RigError, StreamError
 from decogs.formats.splats import sh_degree_of
+from decogs.formats.stream.container import Packet
+from decogs.rig.parallel import ahead
+from decogs.rig.pictures.ingest import RigFrame
+from decogs.rig.pictures.recording_digests import difference, recorded_in
 
 from ..coding.stream_header import stream_header
 from ..frame.context import Context
-from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame, train_keyframe
+from ..frame.encode_frame import Encoded, Task, begin_scene, earlier_first_frame, encode_frame, train_keyframe
 from ..frame.next_segment import NextSegment, train_next_segment, with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
-from ..input.ingest import RigFrame
-from ..input.recordings import difference, recorded_in
 from ..keyframe.first_frame import FirstFrame
 from ..keyframe.import_splats import import_splats
 from ..output.reports import FrameReport
 from ..output.resume import Interrupted
 from ..output.stream_output import StreamOutput
-from ..parallel import ahead
 from ..stopwatch import Stopwatch
 from .frame_report import FrameReporter
 from .options import RunOptions
@@ -84,12 +85,10 @@ class StreamEncoder:
         first = self._first_frame(task)
         degree = sh_degree_of(first.state.coefficients)
         header = self._new_header(frame.index, first.lattice, degree, colours=first.colours, recorded=frame.recorded)
-        encoded = begin_scene(self._context, header, first.state, task)
-        with task.watch.stage("write"):
-            self._output.begin(header.to_bytes())
+        encoded = begin_scene(self._context, header, first, replace(task, write=partial(self._write_first, header)))
         if isinstance(self._keyframe, KeyframeSource):
             self._check_keyframe(self._keyframe, encoded, frame, task.watch)
-        return self._write(encoded, task.watch)
+        return self._report(encoded, task.watch)
 
     def _encode_next(self, frame: RigFrame, last: Encoded, following: Sequence[RigFrame]) -> FrameReport:
         """Encodes a frame after the ``last``; ``following``: those up to the start of the segment it is faded into."""
@@ -97,11 +96,11 @@ class StreamEncoder:
         segment = self._next_segment([frame, *following], last, watch)
         coded = segment.first if segment is not None and segment.start == frame.index else None
         packet = None if coded is None else coded.written.packet
-        task = Task(frame, packet, segment, self._options.on_keyframe_step, watch)
+        task = Task(frame, packet, segment, self._options.on_keyframe_step, watch, self._write)
         encoded = encode_frame(self._context, last.scene, last.memory, task)
         if coded is not None:
-            encoded = replace(encoded, outcome=replace(encoded.outcome, rejected=coded.outcome.rejected))
-        return self._write(encoded, watch)
+            encoded = replace(encoded, rejected=coded.rejected)
+        return self._report(encoded, watch)
 
     def take_over(self, left: Interrupted, span: range) -> None:
         """Goes on from what an earlier encode left of frames ``span``: its header, near planes and cameras' colours.
@@ -139,7 +138,8 @@ class StreamEncoder:
         task = Task(frame, packet)
         if self._last is None:
             key = reconstruct(None, packet, self._header)
-            self._last = begin_scene(self._context, self._header, key, task)
+            first = earlier_first_frame(self._context, key, self._header, frame)
+            self._last = begin_scene(self._context, self._header, first, task)
         else:
             self._last = encode_frame(self._context, self._last.scene, self._last.memory, task)
         if origin:
@@ -156,15 +156,17 @@ class StreamEncoder:
                 self._next = train_next_segment(self._context, last.scene, last.memory, frames)
         return self._next if self._next is not None and self._next.start == start else None
 
-    def _write(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
-        """Appends the frame's packet, and records its time."""
-        packet = encoded.written.packet
-        with watch.stage("write"):
-            self._output.write(packet.kind, packet.frame, packet.payload)
-        memory = encoded.memory
-        if memory.time is not None and self._last is not None:
-            memory = replace(memory, time=memory.time.record_time(watch.seconds, deferred=encoded.outcome.deferred))
-        self._last = replace(encoded, memory=memory)
+    def _write_first(self, header: StreamHeader, packet: Packet) -> None:
+        """Begins the output with its header, and appends the first packet."""
+        self._output.begin(header.to_bytes())
+        self._write(packet)
+
+    def _write(self, packet: Packet) -> None:
+        self._output.write(packet.kind, packet.frame, packet.payload)
+
+    def _report(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
+        """Goes on from the frame, and reports it."""
+        self._last = encoded
         return self._reporter.report(encoded, watch)
 
     def _first_frame(self, task: Task) -> FirstFrame:
@@ -180,7 +182,8 @@ class StreamEncoder:
             return train_keyframe(context, task.recorded, task)
         source.check(context.ingest, task.recorded.index)
         context.ingest.set_near_planes(source.header.near_planes)
-        return FirstFrame(source.state, source.header.lattice, source.header.camera_colours)
+        with task.watch.stage("import"):
+            return earlier_first_frame(context, source.state, source.header, task.recorded)
 
     def _check_keyframe(self, source: KeyframeSource, encoded: Encoded, frame: RigFrame, watch: Stopwatch) -> None:
         """Warns where an earlier stream's keyframe is of other footage."""

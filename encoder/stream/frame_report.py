@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import fmean
 
-from decogs.decoder.views import render_view
-from decogs.formats.callbacks import OnWarning
-from decogs.formats.container import PacketKind
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.splats import FloatArray
+from decogs.formats.stream.container import PacketKind
+from decogs.formats.system.callbacks import OnWarning
+from decogs.rig.pictures.ingest import display_referred
 
+from ..backends.psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
 from ..change.masks import usable_views
 from ..frame.context import Context
 from ..frame.encode_frame import Encoded
-from ..input.ingest import display_referred
 from ..output.footage import matches, warning_of
 from ..output.reports import FrameReport
-from ..psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
 from ..stopwatch import Stopwatch
 
 _STAGE = "measure"
@@ -32,7 +32,7 @@ class FrameReporter:
     def report(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
         """The report of an encoded frame, with PSNRs against its pictures."""
         cpu_seconds = watch.cpu_seconds()
-        context, outcome, frame = self._context, encoded.outcome, encoded.pictures
+        context, frame = self._context, encoded.pictures
         with watch.stage(_STAGE):
             training = self._training_psnr(encoded)
             held_out = self._held_out_psnr(encoded)
@@ -43,23 +43,21 @@ class FrameReporter:
             PacketKind(packet.kind).name.lower(),
             packet.size,
             len(encoded.scene.splats),
-            outcome.selection.share,
+            encoded.selected,
             training,
             held_out,
             watch.seconds,
             encoded.written.costs,
             cpu_seconds,
-            effects=list(outcome.effects),
+            effects=list(encoded.effects),
             left_out={
-                view.camera.name: mask.lost
-                for view, mask in zip(views, outcome.selection.masks, strict=False)
-                if mask.lost
+                view.camera.name: mask.lost for view, mask in zip(views, encoded.masks, strict=False) if mask.lost
             },
             dropped=dict(frame.lost),
-            rejected=outcome.rejected,
-            uncorrected=list(outcome.uncorrected),
-            full_frame_change=outcome.full_frame_change,
-            cut=outcome.cut,
+            rejected=encoded.rejected,
+            uncorrected=list(encoded.uncorrected),
+            full_frame_change=encoded.full_frame_change,
+            cut=encoded.cut,
             scale=context.ingest.scale,
             held_out_own_size_psnr=own_size,
         )
@@ -81,7 +79,7 @@ class FrameReporter:
 
     def _used(self, encoded: Encoded) -> Sequence[int]:
         """The views whose pictures show the frame; if there are none, all that have one; else those that stand in."""
-        views, masks = self._context.ingest.views, encoded.outcome.selection.masks
+        views, masks = self._context.ingest.views, encoded.masks
         lost = encoded.pictures.lost_views(views)
         return usable_views(masks) or [view for view in range(len(views)) if view not in lost] or range(len(views))
 
@@ -118,5 +116,5 @@ class FrameReporter:
 
     def _rendered(self, encoded: Encoded, used: Sequence[int]) -> list[FloatArray]:
         """The scene rendered through these views, (3, H, W) each."""
-        render = self._context.renderer(encoded.scene.splats)
+        render = self._context.renderer(encoded.memory.views, encoded.scene.splats)
         return [render(i) for i in used]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from decogs.formats.callbacks import OnWarning
+from decogs.formats.system.callbacks import OnWarning
 
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from decogs.formats.errors import DecogsError
+from decogs.rig.pictures.recording_digests import is_current
 
 from ..frame.context import Context
-from ..input.recordings import is_current
 from ..output.metrics import write_metrics
 from ..output.reports import EncodeReport, FrameReport
 from ..output.resume import Interrupted, check_resumable

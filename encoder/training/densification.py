@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.lattice import LOG_SCALE_BOUND
-from decogs.formats.rotations import rotation_matrices
+from decogs.codec.scene.lattice import LOG_SCALE_BOUND
+from decogs.formats.geometry.rotations import rotation_matrices
 from decogs.formats.splats import Splats, take_splats
 
 _SPLIT_SHRINK = np.float32(np.log(1.6))

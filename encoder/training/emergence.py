@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.splats import Splats, empty_splats, take_splats
+from decogs.rig.parallel import side_by_side
 
-from ..parallel import side_by_side
 from .frame_training import FrameTraining
 from .schedule import SearchTime, StepSchedule, search_of, search_seconds
 from .seeding import SearchView, enough_missed_pixels, find_seeds, missed_pixels
@@ -28,26 +28,27 @@ def add_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int]
 
 def add_emerging_in_time(
     training: FrameTraining, work: WorkingSet, schedule: StepSchedule, search: SearchTime
-) -> float:
+) -> tuple[float, SearchTime]:
     """Adds emerging objects as far as the frame's deadline allows; the seconds that it took, 0 without a deadline.
 
-    With one, only some frames search, in some of the views.
+    With one, only some frames search, in some of the views, and ``search`` is what is left for later ones.
     """
     used, deadline = training.used, training.frame.stopping.deadline
     if deadline is None:
         add_emerging(training, work, used)
-        return 0.0
+        return 0.0, search
     began = time.perf_counter()
-    share = search.affordable_share(deadline - began, search_seconds(training.settings.emergence.max_rays, len(used)))
+    guess = search_seconds(training.settings.emergence.max_rays, len(used))
+    search = search.save(deadline - began, guess)
+    share = search.affordable_share(guess)
     if not share:
-        return 0.0
+        return 0.0, search
     views, rays = search_of(share, len(used))
     every = -(-len(used) // views)
     add_emerging(training, work, used[training.frame.index % every :: every], rays)
     seconds = time.perf_counter() - began
-    search.record_time(seconds, share)
     schedule.extend_deadline(seconds)
-    return seconds
+    return seconds, search.spend(seconds, share)
 
 
 def _find_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float) -> Splats:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats
+from decogs.rig.parallel import side_by_side
+from decogs.rig.pictures.ingest import View
 
 from ..backends import Drawable, Gradients, ViewGradients
 from ..change.masks import FrameMask, usable_views
-from ..input.ingest import View
-from ..parallel import side_by_side
 from ..settings.frame import FocusWeights, FrameSettings
 from .losses import PhotometricLoss, StepLosses, focus_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
@@ -73,7 +73,8 @@ class FrameTraining:
         """Gradients of the values ``drawn`` (M), from the pixels that they cover."""
         view = self.context.static_views[step.view]
         view.draw(drawn, work.rows)
-        value = self.losses[step.view].evaluate_drawn(view)
+        loss = self.losses[step.view]
+        value = (loss.with_clipped(view.rgb) if self.frame.clipped else loss).evaluate_drawn(view)
         self.seen.add(value, self.context.views[step.view].camera)
         if self.frame.stopping.on_loss is not None:
             self.frame.stopping.on_loss(step.stage, step.number, value.total)

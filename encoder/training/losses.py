@@ -8,7 +8,7 @@ pixels inside, since Adam ignores the loss's scale. The choice is 0.2 and 0.8: t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from decogs.formats.splats import FloatArray
 
 from ..backends import FixedView, LossValue, TrainingKernel
 from ..settings.frame import FocusWeights
+
+_WHITE = np.float32(250 / 255)
+"""From here on a pixel may be clipped: a camera's noise is some levels, and takes them off white as well."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,11 @@ class PhotometricLoss:
     l1_weight: FloatArray | None = None
     focus: FloatArray | None = None
     emphasis: float = 1.0
+
+    def with_clipped(self, rendered: FloatArray) -> PhotometricLoss:
+        """Without what pixels recorded as white would take off colours (3, H, W) ``rendered`` beyond white."""
+        beyond = (self.target >= _WHITE) & (rendered > self.target)
+        return replace(self, target=np.where(beyond, rendered, self.target))
 
     def evaluate(self, kernel: TrainingKernel) -> LossValue:
         """Loss of the last picture of ``kernel``; the kernel keeps its gradient."""

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray, Splats
+from decogs.rig.pictures.ingest import View, scene_extent
 
 from ..backends import FixedView, TrainingKernel
 from ..change.masks import FrameMask
-from ..input.ingest import View, scene_extent
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
-from .schedule import WHOLE, StoppingRule
+from .schedule import UNKNOWN_PACE, WHOLE, Pace, StoppingRule
 
 MAX_GROWTH = 1.25
 """Bound of the scene's size by clones and splits, as a multiple of the keyframe's. Without it long streams keep
@@ -63,7 +63,9 @@ class FrameInput:
     colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
     displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``free``: the frame's
     empty space, where it is known. ``lost``: views, by number, that have no picture of this frame; what is in its place
-    must not teach. Masks say so as well. ``relit``: light has changed more than steps follow.
+    must not teach. Masks say so as well. ``relit``: light has changed more than steps follow. ``clipped``: it has in
+    this or an earlier frame, so that what is recorded as white may be brighter. ``pace``: of the frames before, under
+    a deadline.
     """
 
     index: int
@@ -78,6 +80,8 @@ class FrameInput:
     free: FreeSpace | None = None
     lost: Collection[int] = ()
     relit: bool = False
+    clipped: bool = False
+    pace: Pace = UNKNOWN_PACE
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,8 @@ class TrainedFrame:
 
     Rows are of the frame's scene, ascending. ``rejected``: training made the pictures worse and changes nothing.
     ``truncated``: a deadline left too few steps. ``sensitivity``: change of a picture's mean loss, in
-    millionths, per unit of each of ``values``; None: they are coded as exactly as the lattice can.
+    millionths, per unit of each of ``values``; None: they are coded as exactly as the lattice can. ``pace``: after a
+    frame with a deadline; None: that before it.
     """
 
     kept: NDArray[np.int64]
@@ -96,6 +101,7 @@ class TrainedFrame:
     rejected: bool = False
     truncated: bool = False
     sensitivity: Splats | None = None
+    pace: Pace | None = None
 
 
 class FrameTrainer(Protocol):
@@ -103,11 +109,6 @@ class FrameTrainer(Protocol):
 
     Encodes are resumed and repeated to the bit: the result follows from the frame's input and the context alone.
     """
-
-    @property
-    def min_seconds(self) -> float:
-        """Least seconds of a frame; 0 while unknown. A time budget defers frames that have less."""
-        ...
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains one frame.

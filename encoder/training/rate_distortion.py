@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.state import IntArray
+from decogs.codec.scene.state import IntArray
 from decogs.formats.splats import FloatArray
 
 _TABLE_ROUNDS = 4
@@ -61,13 +61,13 @@ def _cheapest(
     """One channel's (N,) integers, coded with so many ``zeros`` more; candidates: ``most`` of the commonest."""
     chosen = nearest
     for _ in range(_TABLE_ROUNDS):
-        table, places, counts = np.unique(np.append(chosen, 0), return_inverse=True, return_counts=True)
-        counts[places[-1]] += zeros - 1  # The 0 that was appended is none of them; the table may still need one.
+        table, table_rows, counts = np.unique(np.append(chosen, 0), return_inverse=True, return_counts=True)
+        counts[table_rows[-1]] += zeros - 1  # The 0 that was appended is none of them; the table may still need one.
         bits = np.rint(_PARTS_OF_BIT * np.log2((len(chosen) + zeros) / np.maximum(counts, 1))) / _PARTS_OF_BIT
-        best, least = chosen, (change * (chosen - values)) ** 2 + bit * bits[places[:-1]]
-        for place in np.argsort(-counts, kind="stable")[:most]:
-            cost = (change * (table[place] - values)) ** 2 + bit * bits[place]
-            best = np.where(cost < least, table[place], best)
+        best, least = chosen, (change * (chosen - values)) ** 2 + bit * bits[table_rows[:-1]]
+        for table_row in np.argsort(-counts, kind="stable")[:most]:
+            cost = (change * (table[table_row] - values)) ** 2 + bit * bits[table_row]
+            best = np.where(cost < least, table[table_row], best)
             least = np.minimum(cost, least)
         chosen = best
     return chosen

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import median
 
 import numpy as np
@@ -185,34 +185,53 @@ def seconds_at_least(spent: float, schedule: StepSchedule) -> float:
     return spent - steps + MIN_STEPS * step
 
 
+@dataclass(frozen=True)
 class SearchTime:
     """Time budget of the search for emerging objects in frames under a deadline.
 
     A whole search may take as long as all steps of several frames. So searches take at most a fixed share of training
-    time on average; a small budget means fewer rays in fewer views.
+    time on average; a small budget means fewer rays in fewer views. ``credit``: seconds that frames have left for it.
+    ``whole``: those of a whole search; None before the first one.
     """
 
-    def __init__(self) -> None:
-        self._credit = 0.0
-        self._whole: float | None = None
+    credit: float = 0.0
+    whole: float | None = None
 
-    def affordable_share(self, left: float, guess: float) -> float:
-        """Share, 0 to 1, of a whole search that fits a frame with ``left`` seconds of training.
+    def save(self, left: float, guess: float) -> SearchTime:
+        """With the share of a frame that has ``left`` seconds of training; ``guess``: a whole search's seconds."""
+        if left <= 0:
+            return self
+        smallest = MIN_SEARCH_SHARE * (guess if self.whole is None else self.whole)
+        return replace(self, credit=min(self.credit + _SEARCH_TIME_FRACTION * left, max(left, smallest)))
 
-        ``guess``: estimated seconds of a whole search, used before the first one.
-        """
-        whole = guess if self._whole is None else self._whole
-        smallest = MIN_SEARCH_SHARE * whole
-        if left > 0:
-            self._credit = min(self._credit + _SEARCH_TIME_FRACTION * left, max(left, smallest))
-        if self._credit <= 0 or (self._whole is not None and self._credit < smallest):
+    def affordable_share(self, guess: float) -> float:
+        """Share, 0 to 1, of a whole search that the credit allows; ``guess``: its seconds, before the first one."""
+        whole = guess if self.whole is None else self.whole
+        if self.credit <= 0 or (self.whole is not None and self.credit < MIN_SEARCH_SHARE * whole):
             return 0.0
-        return min(1.0, max(MIN_SEARCH_SHARE, self._credit / max(whole, 1e-9)))
+        return min(1.0, max(MIN_SEARCH_SHARE, self.credit / max(whole, 1e-9)))
 
-    def record_time(self, seconds: float, share: float) -> None:
-        """Records the duration of a ``share`` of a search."""
-        self._credit -= seconds
-        self._whole = seconds / share if self._whole is None else (self._whole + seconds / share) / 2
+    def spend(self, seconds: float, share: float) -> SearchTime:
+        """After a ``share`` of a search that took so many ``seconds``."""
+        whole = seconds / share if self.whole is None else (self.whole + seconds / share) / 2
+        return SearchTime(self.credit - seconds, whole)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """What training under deadlines has taken so far, in seconds; 0 while unknown.
+
+    ``step``: median step of the last frame. ``least``: that frame, had it had the least steps only; a time budget
+    defers frames that have less. ``search``: for emerging objects.
+    """
+
+    step: float = 0.0
+    least: float = 0.0
+    search: SearchTime = field(default_factory=SearchTime)
+
+
+UNKNOWN_PACE = Pace()
+"""Before the first frame with a deadline."""
 
 
 def search_seconds(rays: int, views: int) -> float:

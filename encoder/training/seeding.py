@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre, in_camera, in_picture, ray_slopes, turned
 from decogs.formats.splats import FloatArray, Splats, empty_splats, round_splats
+from decogs.rig.numerics import bilinear
+from decogs.rig.parallel import Each, side_by_side
 
-from ..numerics import bilinear
-from ..parallel import Each, side_by_side
 from ..settings.frame import EmergenceSettings
 
 BoolArray = NDArray[np.bool_]

@@ -18,6 +18,8 @@ from .densification import clone_and_split
 from .frame_training import FrameTraining
 from .working_set import WorkingSet
 
+_GROW_GRADIENT = 1e-4
+"""Mean view gradient from which a Gaussian is cloned or split (the paper's tau_d)."""
 _LARGE_SIGMA_EXTENTS = 0.01
 """Sigma, in units of the rig's extent, from which a Gaussian is split and not cloned (3DGS's)."""
 
@@ -49,12 +51,12 @@ def _grow(
     room: int,
 ) -> bool:
     """Adds at most ``room`` Gaussians; a child outside every region of interest starts at its parent's position."""
-    settings, own = training.settings, work.values
+    own = work.values
     growth = clone_and_split(
         own,
         gathered.mean(),
         eligible,
-        threshold=settings.grow_gradient,
+        threshold=_GROW_GRADIENT,
         room=room,
         large=_LARGE_SIGMA_EXTENTS * training.context.extent,
         random=training.random,

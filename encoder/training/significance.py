@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.lattice import KEPT_SCALE
+from decogs.codec.scene.lattice import KEPT_SCALE
 from decogs.formats.splats import FloatArray, Splats
 
 from ..backends import ATTRIBUTES, Optimiser

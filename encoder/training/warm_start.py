@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from decogs.formats.splats import FloatArray
-
-from ..numerics import nearest
+from decogs.rig.numerics import nearest
 
 _NEIGHBOUR_GAUSSIANS = 8
 """Nearest Gaussians whose median displacement is taken: one, its own, takes 8 % more bytes."""

@@ -4,11 +4,11 @@ A matte is white where the subject covers a pixel, black where nothing does, gre
 """
 
 from .per_camera import pictures_per_camera
-from .per_frame import alpha_of, matte_place, matte_rig, own_alpha_rig, stream_matte_rig
+from .per_frame import alpha_of, matte_origin, matte_rig, own_alpha_rig, stream_matte_rig
 
 __all__ = [
     "alpha_of",
-    "matte_place",
+    "matte_origin",
     "matte_rig",
     "own_alpha_rig",
     "pictures_per_camera",

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
+from ..pictures.reading import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
 from ..rigs import Rig
 from ..rigs.rig import more
 from ..rigs.sources import CutSource, FrameSource, PictureSource, list_folder, pictures_in, refuse_unknown_kinds
-from ..videos import VIDEO_SUFFIXES, VideoSource, open_video
+from ..videos.reading import VIDEO_SUFFIXES, VideoSource, open_video
+from .camera_paths import paths_of_cameras
 from .numbering import mattes_of_recording, mattes_of_stream
-from .places import places_of_cameras
 
 Alpha = NDArray[np.float32]
 
@@ -41,9 +41,9 @@ def matte_rig(folder: Path, rig: Rig, names: Collection[str], frames: range) -> 
     ``names``: cameras that must have some. Its warnings say which frames mattes are taken for, where other numbers than
     the pictures' tell. Raises RigError, naming the camera or frame that is missing.
     """
-    places = _places(folder, rig.cameras, names)
-    cameras = [camera for camera in rig.cameras if camera.name in places]
-    found = [(camera, _opened(places[camera.name], camera, rig, frames)) for camera in cameras]
+    folders = _folders_of(folder, rig.cameras, names)
+    cameras = [camera for camera in rig.cameras if camera.name in folders]
+    found = [(camera, _opened(folders[camera.name], camera, rig, frames)) for camera in cameras]
     return replace(_with(rig, found), warnings=tuple(_renumbered(rig, found, frames.start)))
 
 
@@ -53,12 +53,12 @@ def stream_matte_rig(folder: Path, cameras: Sequence[Camera], first: int, count:
     The rig is not known, only that the stream begins at its frame ``first``. Mattes are as many as the stream's frames,
     or count from 0 at the rig's first one. Raises RigError, naming the camera or frame that is missing.
     """
-    places = _places(folder, cameras, [camera.name for camera in cameras])
-    sources = tuple(_opened_for_stream(places[camera.name], camera, first, count, frames) for camera in cameras)
+    folders = _folders_of(folder, cameras, [camera.name for camera in cameras])
+    sources = tuple(_opened_for_stream(folders[camera.name], camera, first, count, frames) for camera in cameras)
     return Rig(folder, "mattes", tuple(cameras), sources, None, count)
 
 
-def matte_place(rig: Rig, name: str, frame: int) -> str:
+def matte_origin(rig: Rig, name: str, frame: int) -> str:
     """Where the matte of a camera and frame of such a rig comes from, for a message."""
     source = next(source for camera, source in zip(rig.cameras, rig.sources, strict=True) if camera.name == name)
     return str(source.files[frame]) if isinstance(source, PictureSource) else f"{source.path}, frame {frame}"
@@ -176,18 +176,18 @@ def _without_colour(path: Path, matte: Picture) -> Picture:
     return matte
 
 
-def _places(folder: Path, cameras: Sequence[Camera], names: Collection[str]) -> dict[str, Path]:
+def _folders_of(folder: Path, cameras: Sequence[Camera], names: Collection[str]) -> dict[str, Path]:
     """Where each camera's mattes are; those of ``names`` must be there."""
-    places = places_of_cameras(folder, [camera.name for camera in cameras], names)
+    folders = paths_of_cameras(folder, [camera.name for camera in cameras], names)
     for name in names:
-        if name not in places:
+        if name not in folders:
             raise RigError(f"{folder}: no mattes of camera {name}; put them into {name}/ or {name}.mp4")
-    return places
+    return folders
 
 
-def _opened(place: Path, camera: Camera, rig: Rig, frames: range) -> FrameSource:
+def _opened(matte_path: Path, camera: Camera, rig: Rig, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the rig's frames, those of ``frames`` sure to be there."""
-    found = _mattes_at(place)
+    found = _mattes_at(matte_path)
     recording, clock = rig.recording(camera.name), rig.timeline.clock(camera.name)
     if isinstance(found, Path):
         video = open_video(found)
@@ -199,8 +199,8 @@ def _opened(place: Path, camera: Camera, rig: Rig, frames: range) -> FrameSource
         raise RigError(
             f"{found}: {video.frame_count} frames, but the rig has {rig.frame_count}; cut both to the same frames"
         )
-    numbered = mattes_of_recording(place, found, recording, clock, rig.frame_count, frames)
-    return _Mattes(place, numbered, camera.width, camera.height)
+    numbered = mattes_of_recording(matte_path, found, recording, clock, rig.frame_count, frames)
+    return _Mattes(matte_path, numbered, camera.width, camera.height)
 
 
 def _renumbered(rig: Rig, found: Sequence[tuple[Camera, FrameSource]], frame: int) -> Iterator[str]:
@@ -222,30 +222,30 @@ def _last_number(file: Path) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def _opened_for_stream(place: Path, camera: Camera, first: int, count: int, frames: range) -> FrameSource:
+def _opened_for_stream(matte_path: Path, camera: Camera, first: int, count: int, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the stream's ``count`` frames, those of ``frames`` sure to be there."""
-    files = _mattes_at(place)
+    files = _mattes_at(matte_path)
     if isinstance(files, Path):
         video = open_video(files)
         if video.frame_count != count and (first or video.frame_count < count):
             raise RigError(f"{files}: {video.frame_count} frames, but the stream has {count}; cut it to these")
         return _MatteVideo(**vars(video))
-    return _Mattes(place, mattes_of_stream(place, files, first, count, frames), camera.width, camera.height)
+    return _Mattes(matte_path, mattes_of_stream(matte_path, files, first, count, frames), camera.width, camera.height)
 
 
-def _mattes_at(place: Path) -> Path | tuple[Path, ...]:
+def _mattes_at(matte_path: Path) -> Path | tuple[Path, ...]:
     """The pictures of a camera's mattes, or the video that has them. Raises RigError where there are neither."""
-    if not place.is_dir():
-        return (place,) if place.suffix.lower() in PICTURE_SUFFIXES else place
-    videos = [entry for entry in list_folder(place) if entry.suffix.lower() in VIDEO_SUFFIXES and entry.is_file()]
+    if not matte_path.is_dir():
+        return (matte_path,) if matte_path.suffix.lower() in PICTURE_SUFFIXES else matte_path
+    videos = [entry for entry in list_folder(matte_path) if entry.suffix.lower() in VIDEO_SUFFIXES and entry.is_file()]
     for name in _INNER:
-        if pictures := pictures_in(place / name):
+        if pictures := pictures_in(matte_path / name):
             return pictures
         for video in videos:
             if video.stem.lower() == name:
                 return video
     if len(videos) == 1:
         return videos[0]
-    refuse_unknown_kinds([place, *(place / name for name in _INNER)])
+    refuse_unknown_kinds([matte_path, *(matte_path / name for name in _INNER)])
     there = f"videos, of which none is called pha.mp4 ({', '.join(v.name for v in videos)})" if videos else "no mattes"
-    raise RigError(f"{place}: {there}; give a matte for every frame, such as 0000.png")
+    raise RigError(f"{matte_path}: {there}; give a matte for every frame, such as 0000.png")

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from ..lazy_names import lazy_names
+from ..system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from .live import dropped_in as dropped_in

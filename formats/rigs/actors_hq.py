@@ -72,9 +72,9 @@ def _number(text: str | None, where: str) -> float:
 
 def _camera(name: str, row: Mapping[str, float], where: str) -> Camera:
     width, height = row["w"], row["h"]
-    turn, place = ([row[kind + axis] for axis in "xyz"] for kind in "rt")
+    turn, centre = ([row[kind + axis] for axis in "xyz"] for kind in "rt")
     intrinsics = (width * row["fx"], height * row["fy"], width * row["px"], height * row["py"])
     k1, k2, k3 = (row.get(column, 0.0) for column in _LENS)
-    pose = invert_pose(vector_pose(turn, place, where))
+    pose = invert_pose(vector_pose(turn, centre, where))
     size = (round(width), round(height))
     return calibrated_camera(name, size, intrinsics, pose, "opencv", (k1, k2, 0.0, 0.0, k3), where)

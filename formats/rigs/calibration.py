@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..cameras import MAX_SIDE, Camera, DistortionModel, as_pinhole, is_distorted, turned
 from ..errors import RigError
-from ..rotations import is_orthonormal, rotation_rows
+from ..geometry.rotations import is_orthonormal, rotation_rows
 
 _RIGID_TOLERANCE = 1e-3
 """How far R R^T may be from the identity: calibration files carry as few as 4 digits."""

@@ -1,8 +1,8 @@
 """COLMAP layout: a sparse model (binary or text) with one video, picture folder or picture per camera.
 
-The model is in ``sparse/0`` (or another number), ``sparse`` or the folder itself. Its images are paired with frames by
-name (``_place``). Poses are world-to-camera in OpenCV axes and pixel centres are at .5 already. ``rigs`` and ``frames``
-files of COLMAP >= 3.12 are not needed: images have their whole poses all the same.
+The model is in ``sparse/0`` (or another number), ``sparse`` or the folder itself. Its images are paired with frames
+by name (``_key_of``). Poses are world-to-camera in OpenCV axes and pixel centres are at .5 already. ``rigs`` and
+``frames`` files of COLMAP >= 3.12 are not needed: images have their whole poses all the same.
 Source: COLMAP documentation, "Output Format"; parameter orders from its camera models.
 """
 
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES
-from ..regular_files import open_regular
-from ..unicode_forms import as_it_lies, composed
-from ..videos import VIDEO_SUFFIXES
+from ..files.regular_files import open_regular
+from ..files.unicode_forms import as_it_lies, composed
+from ..pictures.reading import PICTURE_SUFFIXES
+from ..videos.reading import VIDEO_SUFFIXES
 from .calibration import calibrated_camera, quaternion_pose
 from .rig import Points, Rig, assemble_rig
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, open_source, refuse_unknown_kinds
@@ -114,11 +114,11 @@ def read_colmap_rig(
     lenses = read_lenses(model)
     images = [replace(image, name=renamed(image.name)) for image in read_images(model)]
     frames = _frames_below(folder, images)
-    places = {image.name: _place(image.name, frames) for image in images}
-    unposed = _unposed(frames, set(places.values()))
-    _check_pairs(folder, model, places, unposed)
-    calibrated = cameras_of(model, lenses, images, places)
-    pairs = [(camera, open_source(frames[place])) for place, camera in calibrated.items()]
+    keys = {image.name: _key_of(image.name, frames) for image in images}
+    unposed = _unposed(frames, set(keys.values()))
+    _check_pairs(folder, model, keys, unposed)
+    calibrated = cameras_of(model, lenses, images, keys)
+    pairs = [(camera, open_source(frames[key])) for key, camera in calibrated.items()]
     rig = assemble_rig(folder, layout, pairs, model_files(model), resizable=True, points=read_points(model))
     if not unposed:
         return rig
@@ -126,13 +126,13 @@ def read_colmap_rig(
     return replace(rig, warnings=(*rig.warnings, left_out))
 
 
-def _check_pairs(folder: Path, model: Path, places: Mapping[str, str | None], unposed: Sequence[Path]) -> None:
+def _check_pairs(folder: Path, model: Path, keys: Mapping[str, str | None], unposed: Sequence[Path]) -> None:
     """Every image has frames, every video an image."""
-    missing = [name for name, place in places.items() if place is None]
+    missing = [name for name, key in keys.items() if key is None]
     if missing:
         named = {part for name in missing for part in _parts(name)}
         inside = (folder, *(entry for entry in list_folder(folder) if entry.name.lower() in GENERIC_FOLDERS))
-        refuse_unknown_kinds(entry for place in inside for entry in list_folder(place) if composed(entry.stem) in named)
+        refuse_unknown_kinds(entry for each in inside for entry in list_folder(each) if composed(entry.stem) in named)
         what = f"{folder}: no video, picture folder or picture of image {missing[0]!r}{_more(missing)} of {model}"
         if unposed:
             what += (
@@ -198,20 +198,20 @@ def _frames_below(folder: Path, images: Sequence[PosedImage]) -> dict[str, Path]
     stills: dict[str, Path] = {}
     for group in sorted(groups):
         inside = [as_it_lies(base.joinpath(*group)) for base in bases]
-        for entry in (entry for place in inside if os.path.isdir(place) for entry in list_folder(place)):
+        for entry in (entry for each in inside if os.path.isdir(each) for entry in list_folder(each)):
             if entry.name.lower() in GENERIC_FOLDERS:
                 continue
-            place = "/".join((*group, composed(entry.name if entry.is_dir() else entry.stem)))
+            key = "/".join((*group, composed(entry.name if entry.is_dir() else entry.stem)))
             if holds_frames(entry):
-                other = found.setdefault(place, entry)
+                other = found.setdefault(key, entry)
                 if other is not entry:
                     raise RigError(f"{folder}: both {other} and {entry} hold frames of one camera; move one away")
             elif entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file():
-                stills.setdefault(place, entry)
+                stills.setdefault(key, entry)
     return {**stills, **found}
 
 
-def _place(name: str, frames: Mapping[str, Path]) -> str | None:
+def _key_of(name: str, frames: Mapping[str, Path]) -> str | None:
     """Which frames show what a model's image shows, by its name; folders before the camera's may be missing.
 
     "rig/cam00.png" and "rig/cam00/0000.png" belong to a video or folder ``rig/cam00`` or ``cam00``,
@@ -219,9 +219,9 @@ def _place(name: str, frames: Mapping[str, Path]) -> str | None:
     """
     *folders, stem = _parts(name)
     spelled = [[*folders, stem], folders, [*folders, _camera_of(stem)]]
-    places = ["/".join(parts[first:]) for parts in spelled for first in range(len(parts))]
-    found = [place for place in places if place in frames]
-    streams = [place for place in found if not _is_still(frames[place])]
+    keys = ["/".join(parts[first:]) for parts in spelled for first in range(len(parts))]
+    found = [key for key in keys if key in frames]
+    streams = [key for key in found if not _is_still(frames[key])]
     return next(iter(streams or found), None)
 
 
@@ -235,36 +235,36 @@ def _unposed(frames: Mapping[str, Path], posed: set[str | None]) -> list[Path]:
     Single pictures count where cameras have single pictures only. A folder does not count in a camera's own, nor where
     its pictures are called as cameras are: it has masks, depths or other sizes of them.
     """
-    stills = any(_is_still(frames[place]) for place in posed if place is not None)
-    names = {place.rpartition("/")[2] for place in posed if place is not None}
+    stills = any(_is_still(frames[key]) for key in posed if key is not None)
+    names = {key.rpartition("/")[2] for key in posed if key is not None}
     return [
         path
-        for place, path in frames.items()
-        if not posed & {place, place.rpartition("/")[0]}
+        for key, path in frames.items()
+        if not posed & {key, key.rpartition("/")[0]}
         and (stills if _is_still(path) else not any(composed(entry.stem) in names for entry in list_folder(path)))
     ]
 
 
 def cameras_of(
-    model: Path, lenses: dict[int, ModelledCamera], images: list[PosedImage], places: Mapping[str, str | None]
+    model: Path, lenses: dict[int, ModelledCamera], images: list[PosedImage], keys: Mapping[str, str | None]
 ) -> dict[str, Camera]:
     """The cameras by the places of their frames."""
     cameras: dict[str, Camera] = {}
-    names = Counter(place.rpartition("/")[2] for place in set(places.values()) if place)
+    names = Counter(key.rpartition("/")[2] for key in set(keys.values()) if key)
     for image in sorted(images, key=lambda image: image.name):
         where = f"{model}, image {image.name!r}"
         lens = lenses.get(image.camera_id)
         if lens is None:
             raise RigError(f"{where}: its camera {image.camera_id} is not in the model; export the model again")
-        place = places[image.name] or ""
-        name = place.rpartition("/")[2]
-        camera = _camera(name if names[name] == 1 else place.replace("/", "_"), lens, image.world_to_camera, where)
-        if place in cameras and not same_pose(cameras[place], camera):
+        key = keys[image.name] or ""
+        name = key.rpartition("/")[2]
+        camera = _camera(name if names[name] == 1 else key.replace("/", "_"), lens, image.world_to_camera, where)
+        if key in cameras and not same_pose(cameras[key], camera):
             raise RigError(
                 f"{where}: camera {camera.name} stands somewhere else in another image; cameras must be fixed, and "
                 "those of several cameras need a folder each, or lie in images/ with one picture each"
             )
-        cameras.setdefault(place, camera)
+        cameras.setdefault(key, camera)
     _check_apart(model, list(cameras.values()))
     return cameras
 

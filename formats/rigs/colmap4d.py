@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
 from ..errors import RigError
-from ..unicode_forms import as_it_lies
+from ..files.unicode_forms import as_it_lies
 from .colmap import (
     ModelBytes,
     PosedImage,
@@ -31,7 +31,7 @@ from .colmap import (
 )
 from .named_frames import usual_folders
 from .rig import Rig, assemble_rig
-from .sources import FrameSource, but_there_is, open_listed
+from .sources import FrameSource, open_listed, other_endings
 
 LAYOUT = "colmap4d"
 _SECOND = 1e9
@@ -134,7 +134,7 @@ def _source(folder: Path, model: Path, group: Sequence[_Timed]) -> FrameSource:
     missing = next((name for name, file in zip(names, files, strict=True) if not file.is_file()), None)
     if missing is not None:
         raise RigError(
-            f"{place / missing}: is missing{but_there_is(place / missing)}; put it back or take it out of {model}"
+            f"{place / missing}: is missing{other_endings(place / missing)}; put it back or take it out of {model}"
         )
     return open_listed(files[0], files)
 

@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 import av
 
 from ..errors import RigError
-from ..regular_files import open_regular
-from ..videos import ANY_TEXT, DEMUXERS, pictures_of
+from ..files.regular_files import open_regular
+from ..videos.reading import ANY_TEXT, DEMUXERS, pictures_of
 from .sender_times import StampsOfFile, StampsOfSender
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class GrowingVideo:
     advice: str = "start the camera, and write fragmented mp4, Matroska or MPEG-TS, which can be read as they grow"
 
     @property
-    def place(self) -> str:
+    def origin(self) -> str:
         """The file."""
         return str(self.path)
 
@@ -97,7 +97,7 @@ class SendingCamera:
     advice: str = "start the camera, and check its address"
 
     @property
-    def place(self) -> str:
+    def origin(self) -> str:
         """The address without user and password."""
         parts = urlsplit(self.address)
         return parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
@@ -114,7 +114,7 @@ class SendingCamera:
         with av.open(
             self.address, container_options=options, timeout=max(_SILENT, 3 / self.fps), **more, **ANY_TEXT
         ) as container:
-            yield container, pictures_of(Path(self.place), container)
+            yield container, pictures_of(Path(self.origin), container)
 
     def stamps(self) -> StampsOfSender:
         """By RTCP reports of the sender's clock, else by arrival."""

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..picture_headers import PNG_SIGNATURE, read_header
-from ..pictures import Picture, decode_picture
+from ..pictures.headers import PNG_SIGNATURE, read_header
+from ..pictures.reading import Picture, decode_picture
 from .calibration import invert_pose, opencv_camera, rigid_pose
 from .hdf5 import child, opened, values
 from .rig import Rig, assemble_rig
@@ -51,8 +51,8 @@ def read_dna_rendering(calibration: Path) -> Rig:
 def _recording(calibration: Path) -> Path:
     """The file with the pictures."""
     name = calibration.name.removesuffix(_ENDING) + ".smc"
-    places = (calibration.parent / name, calibration.parent.parent / "main" / name)
-    found = next((place for place in places if place.is_file()), None)
+    candidates = (calibration.parent / name, calibration.parent.parent / "main" / name)
+    found = next((candidate for candidate in candidates if candidate.is_file()), None)
     if calibration.name == name or found is None:
         raise RigError(f"{calibration}: {name} with its pictures is neither beside it nor in ../main; put it there")
     return found

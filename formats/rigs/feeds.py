@@ -9,7 +9,7 @@ from typing import Protocol
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..pictures import Picture, picture_facts, read_picture
+from ..pictures.reading import Picture, picture_facts, read_picture
 
 LACKING = "no picture of it came"
 DAMAGED = "its picture is damaged"
@@ -21,7 +21,7 @@ class Feed(Protocol):
     """One camera's pictures as they come, by their frames counted from 0. Frames are asked for in rising order."""
 
     @property
-    def place(self) -> str:
+    def origin(self) -> str:
         """Where the first picture comes from, and what is known of why it does not, for messages."""
         ...
 
@@ -74,7 +74,7 @@ class FolderFeed:
     advice: str = "start the camera"
 
     @property
-    def place(self) -> str:
+    def origin(self) -> str:
         """The first picture."""
         return str(self.file(0))
 
@@ -119,9 +119,9 @@ class FolderFeed:
         """Nothing to do."""
 
 
-def of_another_size(place: str, camera: Camera, width: int, height: int) -> RigError:
+def of_another_size(origin: str, camera: Camera, width: int, height: int) -> RigError:
     """The error to raise for pictures that the calibration is not of."""
     return RigError(
-        f"{place}: {width} x {height} pixels, but camera {camera.name} is calibrated for {camera.width} x "
+        f"{origin}: {width} x {height} pixels, but camera {camera.name} is calibrated for {camera.width} x "
         f"{camera.height}; record in that size"
     )

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RigError
-from ..frame_rates import read_rate
-from ..regular_files import open_regular
-from ..unicode_forms import as_it_lies, composed
+from ..files.regular_files import open_regular
+from ..files.unicode_forms import as_it_lies, composed
+from ..frames.rates import read_rate
 
 _MAX_BYTES = 64 << 20
 _FASTEST = 10_000

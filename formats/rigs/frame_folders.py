@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..unicode_forms import composed
+from ..files.unicode_forms import composed
 from .colmap import cameras_of, find_model, model_files, read_images, read_lenses, read_points, same_pose
 from .named_frames import usual_folders
 from .rig import Rig, assemble_rig
@@ -72,14 +72,14 @@ def _check_still(cameras: dict[str, Camera], folder: Path) -> None:
 def _pictures(folder: Path) -> dict[str, Path]:
     """The pictures of one frame by camera."""
     itself, *inside = usual_folders(folder)
-    found = (pictures_in(place) for place in (*inside, itself))
+    found = (pictures_in(searched) for searched in (*inside, itself))
     return {composed(path.stem): path for path in next(filter(None, found), ())}
 
 
 def _source(name: str, folders: list[Path], pictures: list[dict[str, Path]]) -> FrameSource:
     lacking = next((frame for frame, found in zip(folders, pictures, strict=True) if name not in found), None)
     if lacking is not None:
-        beside = (entry for place in usual_folders(lacking) for entry in list_folder(place))
+        beside = (entry for searched in usual_folders(lacking) for entry in list_folder(searched))
         refuse_unknown_kinds(entry for entry in beside if composed(entry.stem) == name)
         raise RigError(f"{lacking}: no picture of camera {name}; give all frames the same cameras")
     files = [found[name] for found in pictures]

@@ -36,11 +36,11 @@ def _filled(source: PictureSource, own: Sequence[int], usual: Sequence[int]) -> 
         return source
     files = dict(zip(own, source.files, strict=True))
     first, last = (re.split(r"([0-9]+)", file.stem) for file in (source.files[0], source.files[-1]))
-    place = max(k for k in range(1, len(first), 2) if (int(first[k]), int(last[k])) == (own[0], own[-1]))
+    index = max(k for k in range(1, len(first), 2) if (int(first[k]), int(last[k])) == (own[0], own[-1]))
 
     def named(number: int) -> Path:
-        digits = f"{number:0{len(first[place])}d}"
-        name = "".join([*first[:place], digits, *first[place + 1 :]])
+        digits = f"{number:0{len(first[index])}d}"
+        name = "".join([*first[:index], digits, *first[index + 1 :]])
         return source.files[0].with_name(name + source.files[0].suffix)
 
     return replace(source, files=tuple(files.get(number) or named(number) for number in usual))

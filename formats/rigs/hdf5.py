@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RigError
-from ..extras import install
+from ..system.extras import install
 
 _DAMAGED = (KeyError, OSError, RuntimeError, TypeError, ValueError)
 """What h5py raises for files that are damaged, here and there."""

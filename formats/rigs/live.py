@@ -1,10 +1,10 @@
 """Cameras that are still recording: pictures in folders, videos that grow, cameras that send.
 
-A TOML file names a rig of the same cameras, calibrated before, and where each camera's pictures come from. A frame is
-there when one camera has it. A camera without a whole picture of it is waited for ``late`` seconds, and then has
-dropped the frame: its picture before is given again, which the encoder knows for what it is. One that has dropped
-three in a row is not waited for before the last of them has come after all. After ``end`` seconds without a new frame
-the recording has ended.
+A TOML file names a rig of the same cameras, calibrated before, and where each camera's pictures come from. A frame
+begins when one camera has it. The reader waits ``late`` seconds for the others. A camera without a whole picture by
+then has dropped the frame: its last picture is given again, and the encoder leaves that view out. After three dropped
+frames in a row the reader no longer waits for that camera, until the last of them has arrived. After ``end`` seconds
+without a new frame the recording has ended.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from pathlib import Path
 
 from ..cameras import Camera
 from ..errors import RecordingEnded, RigError
-from ..pictures import PICTURE_KINDS, PICTURE_SUFFIXES, Picture
-from ..unicode_forms import composed
-from ..videos import VIDEO_SUFFIXES
+from ..files.unicode_forms import composed
+from ..pictures.reading import PICTURE_KINDS, PICTURE_SUFFIXES, Picture
+from ..videos.reading import VIDEO_SUFFIXES
 from .connections import GrowingVideo, SendingCamera, check_address
 from .detection import reader_at
 from .feeds import Feed, FolderFeed
@@ -185,7 +185,7 @@ class _Follower:
     def _ended(self) -> RigError:
         end = self._recording.end
         if self._last is None:
-            return RigError(f"{self.feed.place}: did not appear in {end:g} s; {self.feed.advice}, or raise 'end'")
+            return RigError(f"{self.feed.origin}: did not appear in {end:g} s; {self.feed.advice}, or raise 'end'")
         return RecordingEnded(f"{self._source.path}: no new frame for {end:g} s; the recording has ended")
 
 
@@ -207,7 +207,7 @@ def open_live(file: str | os.PathLike[str], *, seconds_per_frame: float | None =
     if unknown:
         raise cameras.wrong(unknown[0], f"is no camera of {calibrated.path}, which has {', '.join(by_name)}")
     terms = _terms(fields)
-    places = {name: _place(cameras, name, path.parent, terms) for name in cameras.values}
+    places = {name: _feed_of(cameras, name, path.parent, terms) for name in cameras.values}
     recording = _Recording(
         {name: opened for name, (_, opened) in places.items()},
         terms.fps,
@@ -231,7 +231,7 @@ def open_live(file: str | os.PathLike[str], *, seconds_per_frame: float | None =
         ),
         {},
     )
-    return rig if recording.every == 1 else replace(rig, warnings=(*rig.warnings, _said(path, recording)))
+    return rig if recording.every == 1 else replace(rig, warnings=(*rig.warnings, _warning_of(path, recording)))
 
 
 def is_live(rig: Rig) -> bool:
@@ -263,7 +263,7 @@ def _every(fields: Fields, fps: float, seconds_per_frame: float | None) -> int:
     return min(max(1, needed), _MAX_EVERY)
 
 
-def _said(path: Path, recording: _Recording) -> str:
+def _warning_of(path: Path, recording: _Recording) -> str:
     """How many frames are passed over."""
     return (
         f"{path}: one of {recording.every} frames is encoded, so that the stream has "
@@ -299,13 +299,13 @@ def _terms(fields: Fields) -> _Terms:
     return _Terms(fps, first, math.ceil(_positive(fields, "queue", _QUEUE) * fps) + 1)
 
 
-def _place(cameras: Fields, name: str, folder: Path, terms: _Terms) -> tuple[Path, OpenFeed]:
+def _feed_of(cameras: Fields, name: str, folder: Path, terms: _Terms) -> tuple[Path, OpenFeed]:
     """Where a camera's pictures come from, and how its feed is opened."""
     text = cameras.label(name)
     if _ADDRESS.match(text):
         check_address(text, f"{cameras.where}: {name!r}")
         sender = SendingCamera(text, terms.fps)
-        return Path(sender.place), terms.of_video(sender)
+        return Path(sender.origin), terms.of_video(sender)
     path = cameras.path(name, folder)
     if path.suffix.lower() in VIDEO_SUFFIXES:
         return path, terms.of_video(GrowingVideo(path))

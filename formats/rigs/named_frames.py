@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import RigError
-from ..unicode_forms import composed
+from ..files.unicode_forms import composed
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, refuse_unknown_kinds
 
 _CAM = "(?i:cam(?:era)?)[ _-]?"
@@ -49,10 +49,10 @@ def frames_of_cameras(
         names = list(chain(*spellings.values()))
         beside = (entry for folder in folders for entry in list_folder(folder) if entry != calibration)
         refuse_unknown_kinds(entry for entry in beside if _fits(entry, names))
-        places = ", ".join(dict.fromkeys(str(folder) for folder in folders))
+        looked_in = ", ".join(dict.fromkeys(str(folder) for folder in folders))
         name = next(iter(spellings), "")
         raise RigError(
-            f"{calibration}: no video or picture folder of a camera, such as {name!r}, in {places}; put the frames "
+            f"{calibration}: no video or picture folder of a camera, such as {name!r}, in {looked_in}; put the frames "
             "there, named as the cameras"
         )
     _check_one_each(of)

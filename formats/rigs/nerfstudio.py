@@ -23,12 +23,12 @@ import numpy as np
 
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES
-from ..unicode_forms import as_it_lies, composed
+from ..files.unicode_forms import as_it_lies, composed
+from ..pictures.reading import PICTURE_SUFFIXES
 from .calibration import calibrated_camera, invert_pose, rigid_pose
 from .fields import Fields, read_json
 from .rig import Rig, assemble_rig
-from .sources import GENERIC_FOLDERS, FrameSource, but_there_is, natural_key, open_listed, open_pictures, open_source
+from .sources import GENERIC_FOLDERS, FrameSource, natural_key, open_listed, open_pictures, open_source, other_endings
 
 LAYOUT = "nerfstudio"
 CALIBRATION = "transforms.json"
@@ -116,7 +116,7 @@ def _entry(folder: Path, fields: Fields) -> _Entry:
     spelled = [path, *(path.parent / (path.name + suffix) for suffix in sorted(PICTURE_SUFFIXES))]
     found = next((candidate for candidate in map(as_it_lies, spelled) if os.path.exists(candidate)), None)
     if found is None:
-        raise RigError(f"{fields.where}: {path} is missing{but_there_is(path)}; put it back or remove its entry")
+        raise RigError(f"{fields.where}: {path} is missing{other_endings(path)}; put it back or remove its entry")
     return _Entry(fields, found, fields.number("time", 0.0))
 
 
@@ -146,9 +146,9 @@ def _group_by_camera(path: Path, entries: Sequence[_Entry]) -> list[list[_Entry]
 def _numbered_poses(entries: Sequence[_Entry]) -> list[int]:
     """A number for the pose of each entry, the same where they differ by rounding only."""
     poses = np.array([entry.fields.matrix("transform_matrix")[:3] for entry in entries])
-    places = poses[np.isfinite(poses[:, :, 3]).all(axis=1), :, 3]
-    if len(places):
-        poses[:, :, 3] /= max(np.ptp(places, axis=0).max(), _LEAST_SIZE * np.abs(places).max()) or 1.0
+    centres = poses[np.isfinite(poses[:, :, 3]).all(axis=1), :, 3]
+    if len(centres):
+        poses[:, :, 3] /= max(np.ptp(centres, axis=0).max(), _LEAST_SIZE * np.abs(centres).max()) or 1.0
     numbers: dict[bytes, int] = {}
     kept, count = np.empty((min(len(poses), _MAX_POSES), 3, 4)), 0
     for entry, pose in zip(entries, poses, strict=True):

@@ -12,9 +12,9 @@ import numpy as np
 
 from ..cameras import Camera
 from ..errors import RecordingEnded, RigError, UsageError
-from ..pictures import PICTURE_SUFFIXES, Picture
-from ..threads import processor_count
-from ..videos import VIDEO_SUFFIXES
+from ..pictures.reading import PICTURE_SUFFIXES, Picture
+from ..system.threads import processor_count
+from ..videos.reading import VIDEO_SUFFIXES
 from .detection import calibration_files, reader_at
 from .live import LiveSource, dropped_in, stop_waiting
 from .rig import Rig

@@ -30,8 +30,8 @@ def read_panoptic(calibration: Path) -> Rig:
     records = {record.label("name"): record for record in listed if record.label("type", "hd") == "hd"}
     if not records:
         raise RigError(f"{calibration}: lists no camera of type 'hd'; VGA and Kinect cameras are not read")
-    places = [folder / "hdVideos", folder / "hdImgs", folder]
-    frames = frames_of_cameras(calibration, places, {name: (f"hd_{name}", name) for name in records}, may_lack=True)
+    folders = [folder / "hdVideos", folder / "hdImgs", folder]
+    frames = frames_of_cameras(calibration, folders, {name: (f"hd_{name}", name) for name in records}, may_lack=True)
     pairs = [(_camera(name, records[name]), open_source(path)) for name, path in frames.of.items()]
     rig = assemble_rig(folder, LAYOUT, pairs, [calibration], resizable=True, length_unit="centimetre")
     return replace(rig, warnings=(*rig.warnings, *frames.warnings))

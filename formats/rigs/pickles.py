@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..errors import RigError
-from ..regular_files import open_regular
+from ..files.regular_files import open_regular
 
 _SUFFIXES = frozenset({".pkl", ".pickle", ".npy"})
 

@@ -87,8 +87,8 @@ def _camera(camera: _Element) -> Camera:
     names = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2")
     lens = [intrinsic.number(name) for name in (*names, "radialDistortion3")]
     rows = [[transform.number(f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)]
-    place = [transform.number(axis) * _MILLIMETRE for axis in "xyz"]
+    centre = [transform.number(axis) * _MILLIMETRE for axis in "xyz"]
     axes = np.array(rows) * [[1.0], [-1.0], [-1.0]]
-    pose = invert_pose(rigid_pose(np.column_stack([axes.T, place]), transform.where))
+    pose = invert_pose(rigid_pose(np.column_stack([axes.T, centre]), transform.where))
     size = (round(right - left + 1), round(bottom - top + 1))
     return opencv_camera(camera.element.get("serial", ""), size, matrix, lens, pose, camera.where)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera, scale_camera
 from ..errors import RigError, UsageError
-from ..frame_rates import exact_rate
-from ..unicode_forms import composed
-from ..videos import VideoSource
+from ..files.unicode_forms import composed
+from ..frames.rates import exact_rate
+from ..videos.reading import VideoSource
 from .sources import FrameSource, PictureSource, natural_key
 from .timeline import RigTime, Timeline
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..cameras import Camera
 from ..errors import UsageError
-from ..outputs import check_folder_name
+from ..files.outputs import check_folder_name
 from . import rig_json
 from .rig import Rig
 from .sources import FrameSource, PictureSource, pictures_in

@@ -17,7 +17,7 @@ from .calibration import calibrated_camera, rigid_pose
 from .colmap import has_model, model_files, read_points
 from .fields import Fields, read_json
 from .rig import Rig, assemble_rig
-from .sources import but_there_is, open_source
+from .sources import open_source, other_endings
 from .steps import MAX_START
 from .timeline import RigTime, Timeline
 
@@ -36,7 +36,7 @@ def read_rig_json(folder: Path) -> Rig:
         file = record.path("file", folder)
         if not os.path.exists(file):
             raise RigError(
-                f"{record.where}: {file} is missing{but_there_is(file)}; put it back or remove the camera from "
+                f"{record.where}: {file} is missing{other_endings(file)}; put it back or remove the camera from "
                 f"{path.name}"
             )
         pairs.append((_camera(record, shift), open_source(file)))

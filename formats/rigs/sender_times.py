@@ -26,7 +26,7 @@ _LEAP = 5.0
 
 
 @dataclass(frozen=True)
-class Placed:
+class CaptureTime:
     """When a picture was taken, seconds on the recording's clock; ``since``: the time that its stamps count from."""
 
     since: float
@@ -70,10 +70,10 @@ class StampsOfFile:
     def __init__(self) -> None:
         self._first: float | None = None
 
-    def place(self, stamp: float, sent: float | None, now: float) -> Placed:
+    def locate(self, stamp: float, sent: float | None, now: float) -> CaptureTime:
         """Where a picture is; ``sent`` and ``now`` do not matter."""
         self._first = stamp if self._first is None else self._first
-        return Placed(0.0, stamp - self._first)
+        return CaptureTime(0.0, stamp - self._first)
 
 
 class StampsOfSender:
@@ -86,7 +86,7 @@ class StampsOfSender:
         self._since = 0.0
         self._last: tuple[float, float] | None = None
 
-    def place(self, stamp: float, sent: float | None, now: float) -> Placed | None:
+    def locate(self, stamp: float, sent: float | None, now: float) -> CaptureTime | None:
         """Where a picture is, seconds since 1970; None while that is not known.
 
         ``stamp``: the sender's, in seconds; ``sent``: the same on the sender's clock, where that is known; ``now``.
@@ -102,7 +102,7 @@ class StampsOfSender:
             if waited >= (self._settling if self._offset is None else _WINDOW):
                 self._settle(min(delay for _, delay in self._delays), stamp)
                 self._delays = []
-        return None if self._offset is None else Placed(self._since, stamp + self._offset)
+        return None if self._offset is None else CaptureTime(self._since, stamp + self._offset)
 
     def _settle(self, offset: float, stamp: float) -> None:
         if self._offset is None or abs(offset - self._offset) * self._fps > _RUN_APART:

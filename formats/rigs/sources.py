@@ -10,11 +10,11 @@ from typing import Protocol
 
 import numpy as np
 
-from ..chapters import continues_another, files_of_video, open_recording
 from ..errors import RigError
-from ..pictures import PICTURE_KINDS, PICTURE_SUFFIXES, Picture, picture_facts, read_picture
-from ..unicode_forms import composed
-from ..videos import VIDEO_SUFFIXES, VideoSource
+from ..files.unicode_forms import composed
+from ..pictures.reading import PICTURE_KINDS, PICTURE_SUFFIXES, Picture, picture_facts, read_picture
+from ..videos.chapters import continues_another, files_of_video, open_recording
+from ..videos.reading import VIDEO_SUFFIXES, VideoSource
 
 GENERIC_FOLDERS = frozenset({"images", "frames", "videos", "rgb", "input"})
 """Folder names that hold pictures but name no camera."""
@@ -307,7 +307,7 @@ def largest_unknown(entries: Iterable[Path]) -> Path | None:
     return max(unknown, key=lambda file: file.stat().st_size, default=None)
 
 
-def but_there_is(path: Path) -> str:
+def other_endings(path: Path) -> str:
     """For a file that is missing: what lies there under its name with another ending, in words, if anything."""
     like = [entry.name for entry in list_folder(path.parent) if composed(entry.stem) == composed(path.stem)]
     return f", but {', '.join(like)} is there" if like else ""

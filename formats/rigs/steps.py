@@ -51,7 +51,7 @@ def in_step(rig: Rig, starts: Mapping[str, RigTime]) -> Rig:
     times = [ordinary if start is None else start for start in named.values()]
     span = _common_span(rig, times, steps)
     sources = [_cut(*each, span.count) for each in zip(rig.sources, span.firsts, steps, strict=True)]
-    said = _said(rig, span, [name for name, start in named.items() if start is None], max(times) - min(times))
+    said = _warnings_of(rig, span, [name for name, start in named.items() if start is None], max(times) - min(times))
     slowest = min((fps for _, fps in with_rates(rig.sources)), default=None)
     clocks = [
         CameraClock(RecordedIndex(first), step, RigTime(rest if abs(rest) > _SAID_REST else 0.0))
@@ -119,7 +119,7 @@ def _common_span(rig: Rig, times: Sequence[float], steps: Sequence[int]) -> _Spa
     return _Span(min(left), tuple(firsts), tuple(rests))
 
 
-def _said(rig: Rig, span: _Span, unknown: Sequence[str], apart: float) -> Iterator[str]:
+def _warnings_of(rig: Rig, span: _Span, unknown: Sequence[str], apart: float) -> Iterator[str]:
     """What a user should know of the span: how long it is, what remains, and whose start nobody knows."""
     if span.count != max(source.frame_count for source in rig.sources) or any(span.firsts):
         yield (

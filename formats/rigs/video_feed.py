@@ -20,10 +20,10 @@ import av
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..pictures import Picture
-from ..videos import VideoSource, shown_as
+from ..pictures.reading import Picture
+from ..videos.reading import VideoSource, presentation_of
 from .feeds import DAMAGED, LACKING, OVERRUN, of_another_size
-from .sender_times import Placed, SharedClock
+from .sender_times import CaptureTime, SharedClock
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -43,7 +43,7 @@ class Connection(Protocol):
     """How a camera's video is opened, and what its time stamps mean."""
 
     @property
-    def place(self) -> str:
+    def origin(self) -> str:
         """The file or address, without a password."""
         ...
 
@@ -69,7 +69,7 @@ class Connection(Protocol):
 class Stamps(Protocol):
     """Time stamps of one connection."""
 
-    def place(self, stamp: float, sent: float | None, now: float) -> Placed | None:
+    def locate(self, stamp: float, sent: float | None, now: float) -> CaptureTime | None:
         """Where a picture is; None while that is not known, as it is for all before, once it is."""
         ...
 
@@ -79,7 +79,7 @@ class _Coded:
     """A packet: its bytes, where its picture is, whether decoding can begin with it, and by what it is decoded."""
 
     data: bytes
-    placed: Placed
+    capture: CaptureTime
     is_key: bool
     context: VideoCodecContext
 
@@ -93,8 +93,8 @@ class VideoFeed:
         self._lock = threading.Condition()
         self._queue: deque[_Coded] = deque()
         self._bytes = 0
-        self._newest: Placed | None = None
-        self._thrown: Placed | None = None
+        self._newest: CaptureTime | None = None
+        self._thrown: CaptureTime | None = None
         self._needs_key = False  # of the queue's next packet
         self._over = threading.Event()
         self._drained = False
@@ -110,9 +110,9 @@ class VideoFeed:
         self._thread.start()
 
     @property
-    def place(self) -> str:
+    def origin(self) -> str:
         """The file or address, and why it was not to be read."""
-        return self._connection.place + (f" ({self._error})" if self._error else "")
+        return self._connection.origin + (f" ({self._error})" if self._error else "")
 
     @property
     def advice(self) -> str:
@@ -135,9 +135,9 @@ class VideoFeed:
         if number > frame:
             return None
         if self._shown is None:
-            self._shown = shown_as(Path(self._connection.place), decoded)
+            self._shown = presentation_of(Path(self._connection.origin), decoded)
             if (self._shown.width, self._shown.height) != (self._camera.width, self._camera.height):
-                raise of_another_size(self._connection.place, self._camera, self._shown.width, self._shown.height)
+                raise of_another_size(self._connection.origin, self._camera, self._shown.width, self._shown.height)
         return self._shown.picture(decoded, frame)
 
     def holds(self, frame: int) -> bool:
@@ -213,10 +213,10 @@ class VideoFeed:
             stamp = now - started if time_stamp is None else time_stamp * unit
             sent = _sent(packet)
             held.append((stamp, bytes(packet), packet.is_keyframe))
-            placed = stamps.place(stamp, sent, now)
-            while placed is not None and held:
+            capture = stamps.locate(stamp, sent, now)
+            while capture is not None and held:
                 earlier, data, is_key = held.popleft()
-                at = Placed(placed.since, placed.at - (stamp - earlier))
+                at = CaptureTime(capture.since, capture.at - (stamp - earlier))
                 self._clock.begin(self._camera.name, at.at)
                 yield _Coded(data, at, is_key, stream.codec_context)
 
@@ -229,8 +229,8 @@ class VideoFeed:
                 self._throw_away()
             self._queue.append(coded)
             self._bytes += len(coded.data)
-            if self._newest is None or coded.placed.at > self._newest.at:
-                self._newest = coded.placed
+            if self._newest is None or coded.capture.at > self._newest.at:
+                self._newest = coded.capture
 
     def _is_full(self) -> bool:
         return len(self._queue) >= self._most or self._bytes >= _MAX_QUEUE
@@ -238,7 +238,7 @@ class VideoFeed:
     def _throw_away(self) -> None:
         """The oldest packets, up to one that decoding can begin with."""
         while self._queue:
-            self._thrown = self._queue[0].placed
+            self._thrown = self._queue[0].capture
             self._bytes -= len(self._queue.popleft().data)
             if self._queue and self._queue[0].is_key:
                 break
@@ -262,7 +262,7 @@ class VideoFeed:
             self._context.flush_buffers()
             self._begun = False
         self._begun = self._begun or coded.is_key
-        number = coded.placed.frame(self._zero, self._fps)
+        number = coded.capture.frame(self._zero, self._fps)
         if self._begun:
             packet = av.Packet(coded.data)
             packet.pts = packet.dts = number
@@ -273,7 +273,7 @@ class VideoFeed:
         elif number - 1 in self._damaged:
             self._damaged.append(number)  # it builds on what is damaged, as all do up to a keyframe
         else:
-            self._thrown = coded.placed
+            self._thrown = coded.capture
         return True
 
     def _flush(self) -> None:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..colour import linear_from_srgb
+from ..colours.srgb import linear_from_srgb
 from ..errors import UsageError
 from ..splats import SH_C0, Splats, sh_degree_of
 from . import ANY_SIZE, Extremes, needs_gaussians

@@ -6,16 +6,15 @@
  */
 
 import type { Lens } from "./geometry/camera";
+import type { LensModel } from "./geometry/lens";
 import type { Similarity } from "./geometry/similarity";
 
 /** Kinds of frames, as packets name them (SPEC section 3). */
 export type FrameKind = "key" | "delta" | "skip";
 
 /** A camera of the rig (SPEC section 4). Lengths in pixels; the picture's top left corner is (0, 0). */
-export interface RigCamera extends Lens {
+export interface RigCamera extends Lens, LensModel {
   readonly name: string;
-  readonly distortionModel: "none" | "opencv" | "fisheye";
-  readonly distortion: readonly number[];
   /** Three rows of four: a rotation and a translation; camera axes x right, y down, z forward. */
   readonly worldToCamera: readonly (readonly number[])[];
   /** What this camera's colours differ by in every frame; null where the stream does not say. */

@@ -16,8 +16,8 @@
     const own = globalThis.trustedTypes?.createPolicy("decogs-page", { createScriptURL: (address) => address });
     const script = "./decogs-worker.js";
     const worker = new Worker(own?.createScriptURL(script) ?? script, { type: "module" });
-    const early = { worker, source, follow, first, said: [], failed: false };
-    worker.onmessage = ({ data }) => early.said.push(data);
+    const early = { worker, source, follow, first, messages: [], failed: false };
+    worker.onmessage = ({ data }) => early.messages.push(data);
     worker.onerror = () => { early.failed = true; };
     worker.postMessage({ type: "open", source, follow, first });
     globalThis.decogsEarly = early;

@@ -21,7 +21,7 @@ try {
     outbase: here,
     outExtension: { ".js": ".mjs" },
     bundle: true,
-    loader: { ".wasm": "binary" },
+    loader: { ".wasm": "binary", ".css": "text" },
     format: "esm",
     platform: "node",
     target: "node20",

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
-from decogs.formats.outputs import write_whole
+from decogs.formats.files.outputs import write_whole
 
 KINDS = {".md", ".json", ".png", ".html"}
 """What reports and runs consist of; anything else is unfinished, or a stream."""

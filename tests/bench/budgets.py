@@ -30,8 +30,8 @@ import decogs.encoder.frame.plan as plan
 import decogs.encoder.methods.decogs as decogs
 import decogs.encoder.training.emergence as emergence
 import decogs.encoder.training.seeding as seeding
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.views import render_view
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import MaskMemory

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from decogs.bench.runs import Run, RunFrame
+from decogs.bench.runs.run import Run, RunFrame
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from encoder_fixtures import encoder_conftest
 
 tiny_rig, tiny_settings = encoder_conftest.tiny_rig, encoder_conftest.tiny_settings
 moving_rig, still_rig = encoder_conftest.moving_rig, encoder_conftest.still_rig
-encode, moving = encoder_conftest.encode, encoder_conftest.moving
+encode, moving, dense = encoder_conftest.encode, encoder_conftest.moving, encoder_conftest.dense
 shared_data = encoder_conftest.shared_data
 
 

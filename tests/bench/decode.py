@@ -23,17 +23,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, quantise
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import Attributes, State, take_rows
-from decogs.codec.syntax import write_delta, write_key
+from decogs.codec.scene.lattice import default_lattice, quantise
+from decogs.codec.scene.state import Attributes, State, take_rows
 from decogs.decoder import DecodedFrame, Stream, open_stream, render_view
-from decogs.decoder.played_view import PlayedView
 from decogs.decoder.rasterise import Rendering
-from decogs.formats.container import Packet, PacketKind, StreamWriter
+from decogs.decoder.rendering.played_view import PlayedView
+from decogs.formats.stream.container import Packet, PacketKind, StreamWriter
 
 sys.path.insert(0, str(Path(__file__).parent))
 from rasterise import front_camera, random_scene

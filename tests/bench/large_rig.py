@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from budgets import rig_document
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.video_output import Movie, VideoSettings
-from decogs.decoder.views import render_view
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.output.video import Movie, VideoSettings
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera, in_camera, project
-from decogs.formats.rotations import rotation_matrices
-from decogs.formats.similarity import Similarity, transformed_splats
+from decogs.formats.geometry.rotations import rotation_matrices
+from decogs.formats.geometry.similarity import Similarity, transformed_splats
 from decogs.formats.splats import Splats, join_splats, take_splats
 
 FPS, CRF, NOISE = 30.0, 16.0, 1.0

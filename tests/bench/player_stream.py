@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.state import State, take_rows
-from decogs.codec.syntax import write_delta, write_key
-from decogs.formats.container import PacketKind, StreamWriter
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key
+from decogs.codec.scene.lattice import default_lattice, quantise
+from decogs.codec.scene.state import State, take_rows
 from decogs.formats.splats import Splats
+from decogs.formats.stream.container import PacketKind, StreamWriter
 
 sys.path.insert(0, str(Path(__file__).parent))
 from decode import LEVEL, nudged

@@ -20,8 +20,8 @@ import numpy as np
 from decogs.encoder.backends.cpu import native
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.formats.cameras import Camera
-from decogs.formats.kernels import INSTRUCTION_SETS, best_instruction_set
 from decogs.formats.splats import Splats
+from decogs.formats.system.kernels import INSTRUCTION_SETS, best_instruction_set
 
 SIZES = ((30_000, 338, 254), (30_000, 676, 507), (150_000, 338, 254), (150_000, 676, 507))
 PROTOTYPE = {"base": (38.6, 97.3, 80.6, 139.0), "avx2": (27.1, 59.9, 66.3, 105.0), "avx512": (20.1, 42.0, 54.8, 80.5)}

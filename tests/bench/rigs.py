@@ -18,11 +18,11 @@ from statistics import fmean
 
 import numpy as np
 
-from decogs.bench.metrics import psnr, square_error_map
-from decogs.bench.regions import find_regions, held_out_pictures
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.bench.measures.metrics import psnr, square_error_map
+from decogs.bench.measures.regions import find_regions, held_out_pictures
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import EncodeJob, encode
 from decogs.formats.rigs import open_rig
 

@@ -4,7 +4,7 @@
 
 The take is encoded in parts: the keyframe first, on one machine; then every part, one closed segment or more, goes to
 the next machine that is free; at the end the parts are joined. Machines run as many parts side by side as their
-processors and their memory allow. docs/scale.md explains the table.
+processors and their memory allow. docs/long-takes.md has the table.
 
 What is measured and what is not: every constant below names its measurement. A rig of 3840x2160 is six times as large
 a picture as any that was measured; costs are taken to go on in proportion to pixels. More than two threads were not

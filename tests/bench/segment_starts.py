@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from decogs.bench.metrics import psnr, square_error_map, total_variation
-from decogs.bench.regions import find_regions, held_out_pictures
-from decogs.codec.header import StreamHeader
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.bench.measures.metrics import psnr, square_error_map, total_variation
+from decogs.bench.measures.regions import find_regions, held_out_pictures
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.rigs import open_rig
 
 

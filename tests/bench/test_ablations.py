@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.bench.ablations import DECOGS, PAPER
-from decogs.decoder.stream import open_stream
+from decogs.bench.methods.ablations import DECOGS, PAPER
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.selection import SELECTION_RULES
+from decogs.encoder.job.switches import ablate
 from decogs.encoder.methods import FRAME_METHODS, method_of
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
-from decogs.encoder.switches import ablate
+from decogs.encoder.training import selective_densification
 from decogs.encoder.training.method import FrameMethod, FrameTrainer
 from decogs.formats.errors import UsageError
 from one_frame import BOX, Case, bits, moved_square, train, training_context
@@ -70,8 +71,11 @@ def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case, method
 
 
 @METHODS
-def test_without_the_gate_what_is_selected_grows_alone(case: Case, method: FrameMethod) -> None:
-    trainer, settings = ablated(case, method, "gate", grow_fraction=1.0, grow_gradient=0.0, prune_opacity=0.0)
+def test_without_the_gate_what_is_selected_grows_alone(
+    case: Case, method: FrameMethod, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 0.0)
+    trainer, settings = ablated(case, method, "gate", grow_fraction=1.0, prune_opacity=0.0)
     assert 0 < len(train(trainer, *given(case), frame=1, settings=settings).added) <= case.selected.sum()
 
 

@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 
-from decogs.bench.differences import BYTES, CPU, MEASURES, MOVING, across_rigs, difference_table, differences
 from decogs.bench.estimates import Estimate, estimate, written
-from decogs.bench.plans import RigResults
-from decogs.bench.runs import KEYFRAME, BenchOptions, RigBench
-from decogs.bench.tables import COLUMNS, figures
-from decogs.bench.variants import Question, Variant
+from decogs.bench.questions.variants import Question, Variant
+from decogs.bench.reports.summaries import summarise_differences
+from decogs.bench.runs.results import RigResults
+from decogs.bench.runs.rig_bench import RigBench
+from decogs.bench.runs.run import KEYFRAME, BenchOptions
+from decogs.bench.tables.columns import COLUMNS, figures
+from decogs.bench.tables.differences import BYTES, CPU, MEASURES, MOVING, difference_table, differences
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 
@@ -138,12 +140,12 @@ def test_the_table_and_the_summary(filled: Filled) -> None:
         "+0.0 ± 0.0",
         "gains PSNR, dynamic, static, last frame; costs bytes",
     ]
-    summary = across_rigs([replace(QUESTION, title="Before", variants=(LONGER,)), QUESTION], [result, none])
+    summary = summarise_differences([replace(QUESTION, title="Before", variants=(LONGER,)), QUESTION], [result, none])
     assert summary[0] == "## Against the preset, over all rigs"
     (row,) = [line for line in summary if line.startswith("| Question")]
     assert row == "| Question: off | **+0.50 ± 0.14** | **+10.0 ± 0.0** | +0.0 ± 0.0 | – | – | – |"
     assert not any("Before" in line for line in summary), "nothing to compare it with"
-    assert across_rigs([QUESTION], [none]) == []
+    assert summarise_differences([QUESTION], [none]) == []
 
 
 def test_a_slope_over_seeds_has_their_error(run_of: Any, frame_of: Any) -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from decogs.bench import effects
-from decogs.bench.report import EFFECTS, make_report
-from decogs.bench.runs import BenchOptions, RigBench
+from decogs.bench.questions import effects
+from decogs.bench.reports.report import EFFECTS, make_report
+from decogs.bench.runs.rig_bench import RigBench
+from decogs.bench.runs.run import BenchOptions
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from decogs.bench.differences import MEASURES
 from decogs.bench.estimates import estimate
-from decogs.bench.runs import BenchOptions, RigBench, Run
-from decogs.bench.variants import Variant
+from decogs.bench.questions.variants import Variant
+from decogs.bench.runs.rig_bench import RigBench
+from decogs.bench.runs.run import BenchOptions, Run
+from decogs.bench.tables.differences import MEASURES
 from decogs.encoder import PRESETS, EffectChoice
 
 SEEDS = (0, 1, 2)

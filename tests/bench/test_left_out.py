@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.bench import left_out
 from decogs.bench.commands import bench_main
-from decogs.bench.surfaces import Surfaces, midway
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import default_lattice
-from decogs.decoder.stream import open_stream
+from decogs.bench.views import left_out
+from decogs.bench.views.surfaces import Surfaces, midway
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import default_lattice
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import EncodeJob
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rigs import open_rig

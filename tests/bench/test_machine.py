@@ -12,9 +12,10 @@ from decogs.bench import machine
 @pytest.fixture
 def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Stand-ins for the layers' folders."""
-    for layer in machine.LAYERS:
-        (tmp_path / layer).mkdir()
-    monkeypatch.setattr(machine.resources, "files", lambda package: tmp_path / package.partition(".")[2])
+    folder = lambda package: tmp_path / package.replace(".", "/")  # noqa: E731
+    for package in machine.PACKAGES:
+        folder(package).mkdir(parents=True)
+    monkeypatch.setattr(machine.resources, "files", lambda package: folder(package.partition(".")[2]))
     (tmp_path / "codec" / "steps.py").write_text('"""Text."""\n\n\ndef half(x):\n    return x / 2\n')
     return tmp_path
 
@@ -34,9 +35,13 @@ def test_the_digest_follows_what_the_code_does(code: Path) -> None:
         '"""Other text."""\n# a comment\ndef half(x):\n    "Half of it."\n    return x / 2'
     )
     assert version() == before
-    (code / "bench").mkdir()
     (code / "bench" / "tables.py").write_text("x = 1")
     assert version() == before, "the bench makes no stream"
+    (code / "bench" / "methods" / "dense.py").write_text("x = 1")
+    with_method = version()
+    assert with_method != before, "but with its methods"
+    (code / "rig" / "noise.py").write_text("x = 1")
+    assert version() != with_method
     (code / "codec" / "steps.py").write_text("def half(x):\n    return x / 3\n")
     changed = version()
     assert changed != before

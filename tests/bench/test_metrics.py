@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from decogs.bench.metrics import mean_over, psnr, slope, square_error_map, ssim_map, total_variation
+from decogs.bench.measures.metrics import mean_over, psnr, slope, square_error_map, ssim_map, total_variation
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 
 

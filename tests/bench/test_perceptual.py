@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.bench.perceptual import installed_network, perceptual_distance
+from decogs.bench.measures.perceptual import installed_network, perceptual_distance
 
 TORCHVISION = """
 class _Weights:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from decogs.bench.paper import METHODS
-from decogs.bench.plots import legend_columns
+from decogs.bench.questions.paper import METHODS
+from decogs.bench.reports.plots import legend_columns
 
 pytest.importorskip("matplotlib")
 

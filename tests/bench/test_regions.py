@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.bench.regions import (
+from decogs.bench.measures.regions import (
     Regions,
     find_regions,
     held_out_pictures,

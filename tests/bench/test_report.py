@@ -17,23 +17,24 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.bench import page, runs
 from decogs.bench.commands import bench_main
-from decogs.bench.plans import Contest, Plan
-from decogs.bench.progress import BenchProgress
-from decogs.bench.rates import CURVES
-from decogs.bench.report import CHOICES, NONE, PAPER, RATES, make_report
+from decogs.bench.questions.rates import CURVES
+from decogs.bench.questions.variants import Question, Variant
+from decogs.bench.reports import page
+from decogs.bench.reports.plans import Contest, Plan
+from decogs.bench.reports.report import CHOICES, NONE, PAPER, RATES, make_report
 from decogs.bench.rivals import splat4d
 from decogs.bench.rivals.float_arrays import FloatDeltas
 from decogs.bench.rivals.fourdgs import FourDGS
 from decogs.bench.rivals.sequences import FilePerFrame, Rival
-from decogs.bench.runs import BenchOptions
-from decogs.bench.variants import Question, Variant
-from decogs.codec.header import StreamHeader
+from decogs.bench.runs import rig_bench as runs
+from decogs.bench.runs.progress import BenchProgress
+from decogs.bench.runs.run import BenchOptions
+from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import TrainingError, UsageError
-from decogs.formats.extras import install
 from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splat_files.spz import Spz
+from decogs.formats.system.extras import install
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 
@@ -368,7 +369,7 @@ def test_plots_without_their_library_are_one_line(refused: Callable[..., str], m
 
 
 def test_the_plotting_library_is_loaded_for_plots_only() -> None:
-    program = "import sys, decogs.bench.report; sys.exit('matplotlib' in sys.modules)"
+    program = "import sys, decogs.bench.reports.report; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 

@@ -12,14 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.bench import machine, runs
-from decogs.bench.metrics import psnr, square_error_map, total_variation
-from decogs.bench.regions import find_regions
-from decogs.bench.runs import KEYFRAME, BenchOptions, RigBench, read_run
-from decogs.bench.variants import Variant
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.bench import machine
+from decogs.bench.measures.metrics import psnr, square_error_map, total_variation
+from decogs.bench.measures.regions import find_regions
+from decogs.bench.questions.variants import Variant
+from decogs.bench.runs import rig_bench as runs
+from decogs.bench.runs.rig_bench import RigBench
+from decogs.bench.runs.run import KEYFRAME, BenchOptions, read_run
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 from pathlib import Path
@@ -10,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from decogs.bench import runs
 from decogs.bench.commands import bench_parser
-from decogs.bench.plans import Plan, Trade
-from decogs.bench.report import make_report
-from decogs.bench.runs import BenchOptions
-from decogs.bench.variants import Question, Variant
+from decogs.bench.questions.variants import Question, Variant
+from decogs.bench.reports.plans import Plan
+from decogs.bench.reports.report import make_report
+from decogs.bench.runs import rig_bench as runs
+from decogs.bench.runs.run import BenchOptions
 from decogs.formats.errors import TrainingError
 
 pytestmark = pytest.mark.usefixtures("short_presets")
@@ -105,22 +104,6 @@ def test_a_seed_that_cannot_be_trained_is_said_and_the_others_count(
     text = make_report(PLAN, [three_frames], tmp_path, OPTIONS).read_text()
     assert "few failed: seed 0: the loss is nan" in text
     assert text.count(" (1 of 2 seeds) |") == 2
-
-
-@pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'")
-def test_points_between_cost_and_quality_have_errors(three_frames: Path, tmp_path: Path) -> None:
-    plan = Plan("curve", "A small curve", PLAN.questions, trade=Trade("precision", ROWS[0], (ROWS[0],)))
-    text = make_report(plan, [three_frames], tmp_path, OPTIONS, only=["steps"]).read_text()
-    assert re.search(r"^\| Steps: as it is \| [\d.]+ ± [\d.]+ \| [\d.]+ ± [\d.]+ \|", text, re.M)
-    page = (tmp_path / "curve.html").read_text()
-    assert "Figures are means over the seeds 0, 1" in page
-    document = json.loads((tmp_path / "curve.json").read_text())["rigs"]["three"]
-    row = document["questions"]["steps"][0]["figures"]
-    point = document["points"][0]
-    assert len(point["runs"]) == 2
-    assert point["figures"]["psnr"] == pytest.approx(row["psnr"])
-    assert point["errors"]["psnr"] == pytest.approx(row["psnr_error"])
-    assert point["errors"]["keyframe_cpu"] > 0, "each seed's own keyframe"
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from decogs.bench.tables import COLUMNS, figures, markdown
+from decogs.bench.tables.columns import COLUMNS, figures, markdown
 
 
 def value(key: str, run: Any, runs: list[Any] | None = None) -> str:

@@ -6,9 +6,9 @@ import re
 
 import pytest
 
-from decogs.bench import choices, paper, rates
-from decogs.bench.tables import COLUMNS
-from decogs.bench.variants import Question, Times, Variant, settings_of
+from decogs.bench.questions import choices, paper, rates
+from decogs.bench.questions.variants import Question, Times, Variant, settings_of
+from decogs.bench.tables.columns import COLUMNS
 from decogs.encoder import PRESETS
 from decogs.formats.errors import UsageError
 

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder import decode, export, open_stream
+from decogs.decoder.cameras.pose_file import read_free_cameras
 from decogs.decoder.editing import Crop, Sphere, Transform, Trim, edit
-from decogs.decoder.free_camera import read_free_cameras
 from decogs.encoder import EncodeJob, encode
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -40,11 +40,11 @@ package = types.ModuleType("addon")
 package.__path__ = [folder]
 sys.modules["addon"] = package
 system, sys.platform, sys.modules["msvcrt"] = sys.platform, "win32", types.ModuleType("msvcrt")
-import decogs.formats.operating_systems
+import decogs.formats.system.operating_systems
 sys.platform = system
-decogs.formats.operating_systems.sys = types.SimpleNamespace(platform="win32")
-import decogs.decoder.stream
-assert decogs.decoder.stream.__file__.startswith(wheel), decogs.decoder.stream.__file__
+decogs.formats.system.operating_systems.sys = types.SimpleNamespace(platform="win32")
+import decogs.decoder.reading.stream
+assert decogs.decoder.reading.stream.__file__.startswith(wheel), decogs.decoder.reading.stream.__file__
 import addon.playback
 import numpy as np
 
@@ -104,7 +104,7 @@ def test_the_wheel_is_the_reader_unchanged_and_no_more(extension: Path) -> None:
             digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
             assert rows[name] == (f"sha256={digest}", str(len(data)))
     modules = {name for name in contents if name.endswith(".py") and not name.endswith("__init__.py")}
-    assert "decogs/decoder/stream.py" in modules
+    assert "decogs/decoder/reading/stream.py" in modules
     assert not {name for name in modules if "encoder" in name or "rasterise" in name or "usd" in name}
     assert not {name for name in contents if name.endswith((".so", ".pyd", ".dll"))}
     for name in modules:

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 from table import deviations
 
-from decogs.decoder.lens import distort_pixels, with_k1
-from decogs.encoder.calibration.by_motion import believed
-from decogs.encoder.calibration.features import Features, features_of, matched, sift_extractor
-from decogs.encoder.calibration.footage import Footage, instants_of, pictures_at
-from decogs.encoder.calibration.held_out import Score, score, split
-from decogs.encoder.calibration.structure import Matched, require_pycolmap
+from decogs.decoder.cameras.lens import distort_pixels, with_k1
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre
 from decogs.formats.rigs import open_rig
+from decogs.rig.calibration.by_motion import believed
+from decogs.rig.calibration.features import Features, features_of, matched, sift_extractor
+from decogs.rig.calibration.footage import Footage, instants_of, pictures_at
+from decogs.rig.calibration.held_out import Score, score, split
+from decogs.rig.calibration.structure import Matched, require_pycolmap
 
 
 def subsets(cameras: list[Camera], sizes: list[int], count: int) -> Iterator[tuple[int, list[int]]]:

@@ -18,15 +18,15 @@ import cv2
 import numpy as np
 from table import found_from, rig_parser, worlds_laid_over
 
-from decogs.bench.metrics import BytePicture, psnr, square_error_map
-from decogs.bench.regions import held_out_pictures
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.bench.measures.metrics import BytePicture, psnr, square_error_map
+from decogs.bench.measures.regions import held_out_pictures
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import EncodeJob, encode
 from decogs.formats.cameras import Camera
+from decogs.formats.geometry.similarity import transformed_camera
 from decogs.formats.rigs import Rig, open_rig
-from decogs.formats.similarity import transformed_camera
 
 PLACED = "as-found"
 """The left-out camera's name where it was found; by its own name it stands at its given pose."""

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import distort_pixels
-from decogs.encoder.calibration.boards import parse_board
-from decogs.encoder.calibration.calibrate import calibrate
-from decogs.encoder.calibration.held_out import rays_of
-from decogs.encoder.calibration.placed import Calibration
+from decogs.decoder.cameras.lens import distort_pixels
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project
 from decogs.formats.errors import DecogsError
+from decogs.formats.geometry.similarity import Similarity, transformed_camera
 from decogs.formats.rigs import Rig, open_rig
-from decogs.formats.similarity import Similarity, transformed_camera
+from decogs.rig.calibration.boards import parse_board
+from decogs.rig.calibration.calibrate import calibrate
+from decogs.rig.calibration.held_out import rays_of
+from decogs.rig.calibration.placed import Calibration
 
 F64 = NDArray[np.float64]
 

@@ -26,10 +26,10 @@ sys.path[:0] = [str(HERE.parent)] * (str(HERE.parent) not in sys.path)
 from canary.rigs import HELD_OUT, RIGS, write_rig  # noqa: E402
 from decogs.encoder import EffectChoice  # noqa: E402
 from decogs.encoder.analysis.analyse import analyse  # noqa: E402
+from decogs.encoder.job.switches import with_method  # noqa: E402
 from decogs.encoder.settings.encode import EncodeSettings  # noqa: E402
 from decogs.encoder.settings.presets import LADDER, preset  # noqa: E402
-from decogs.encoder.switches import with_method  # noqa: E402
-from decogs.formats.container import PacketKind  # noqa: E402
+from decogs.formats.stream.container import PacketKind  # noqa: E402
 from encode_rig import encode_rig as encode  # noqa: E402
 from packets import iterate_packets  # noqa: E402
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.views import render_view
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from decogs.codec.deltas import Delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice
-from decogs.codec.state import Attributes, State, take_rows
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import Delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.scene.lattice import default_lattice
+from decogs.codec.scene.state import Attributes, State, take_rows
 from decogs.formats.cameras import Camera
 
 INT32 = np.iinfo(np.int32)

@@ -11,19 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from decogs.codec.corrections import (
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import (
     LARGEST,
     CorrectedCameras,
     Correction,
     turn,
     write_corrections,
 )
-from decogs.codec.frame_payload import split_payload
-from decogs.codec.header import StreamHeader
+from decogs.codec.packets.frame_payload import split_payload
+from decogs.codec.packets.syntax import write_skip
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.syntax import write_skip
-from decogs.formats.container import PACKET_HEADER_SIZE, Packet, PacketKind
 from decogs.formats.errors import StreamError
+from decogs.formats.stream.container import PACKET_HEADER_SIZE, Packet, PacketKind
 
 ALL = CorrectedCameras(("b", "a"), ("a",), ("c", "a"))
 number = st.integers(-LARGEST, LARGEST)

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from decogs.codec.deltas import Delta, apply_delta, difference
-from decogs.codec.digest import combine, digest, mix, row_hashes
-from decogs.codec.keyframes import keyframe_state, new_state
-from decogs.codec.state import NARROW, Attributes, all_rows, empty_attributes, take_rows
+from decogs.codec.packets.deltas import Delta, apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state, new_state
+from decogs.codec.scene.digest import combine, digest, mix, row_hashes
+from decogs.codec.scene.state import NARROW, Attributes, all_rows, empty_attributes, take_rows
 
 INT32 = np.iinfo(np.int32)
 ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import Lattice
-from decogs.codec.presentation import Presentation
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.presentation import Presentation
+from decogs.codec.scene.lattice import Lattice
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
-from decogs.codec.state import take_rows
+from decogs.codec.scene.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.scene.state import take_rows
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats, take_splats
 

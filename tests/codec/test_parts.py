@@ -9,13 +9,13 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from decogs.codec.entropy import MAX_WINDOW, coded_block, read_block, skip_block
-from decogs.codec.groups import CHANNELS, MORTON, read_group, write_residuals, write_values
-from decogs.codec.index_sets import read_index_set, read_varints, skip_index_set, write_index_set, write_varints
-from decogs.codec.morton import morton_codes, morton_order, morton_positions
-from decogs.codec.planes import join_planes, split_planes, unzigzag, zigzag
-from decogs.formats.cursor import Cursor
+from decogs.codec.coding.entropy import MAX_WINDOW, coded_block, read_block, skip_block
+from decogs.codec.coding.groups import CHANNELS, MORTON, read_group, write_residuals, write_values
+from decogs.codec.coding.index_sets import read_index_set, read_varints, skip_index_set, write_index_set, write_varints
+from decogs.codec.coding.planes import join_planes, split_planes, unzigzag, zigzag
+from decogs.codec.scene.morton import morton_codes, morton_order, morton_positions
 from decogs.formats.errors import StreamError
+from decogs.formats.stream.cursor import Cursor
 
 INT32 = np.iinfo(np.int32)
 int32_tables = arrays.arrays(

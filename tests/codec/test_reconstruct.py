@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from damaged_streams import EVERY
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.digest import digest
-from decogs.codec.keyframes import new_state
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.packets.syntax import payload_costs, refers_to_first, write_delta, write_key, write_skip
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import Attributes, empty_attributes, take_rows
-from decogs.codec.syntax import payload_costs, refers_to_first, write_delta, write_key, write_skip
-from decogs.formats.container import PACKET_OVERHEAD, Packet, PacketKind, packet_bytes
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.state import Attributes, empty_attributes, take_rows
 from decogs.formats.errors import StreamError
+from decogs.formats.stream.container import PACKET_OVERHEAD, Packet, PacketKind, packet_bytes
 
 INT32 = np.iinfo(np.int32)
 

@@ -8,19 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec import corrections, entropy, header, lattice, sound, state
-from decogs.codec.deltas import difference
-from decogs.codec.digest import digest
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import Lattice
+from decogs.codec.coding import entropy
+from decogs.codec.header import header
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets import corrections, sound
+from decogs.codec.packets.deltas import difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key, write_skip
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import Attributes, take_rows
-from decogs.codec.syntax import write_delta, write_key, write_skip
-from decogs.formats import container
+from decogs.codec.scene import lattice, state
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import Lattice
+from decogs.codec.scene.state import Attributes, take_rows
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PacketKind, StreamWriter
-from decogs.formats.reasons import ALL_REASONS
+from decogs.formats.stream import container
+from decogs.formats.stream.container import PacketKind, StreamWriter
+from decogs.formats.stream.reasons import ALL_REASONS
 from packets import iterate_packets
 
 SPEC = (Path(__file__).resolve().parents[2] / "formats" / "SPEC.md").read_text(encoding="utf-8")

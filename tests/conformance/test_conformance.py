@@ -16,24 +16,25 @@ import numpy as np
 import pytest
 
 from damaged_streams import EVERY
-from decogs.codec.corrections import EFFECT_FIELDS, Corrections
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.digest import digest
-from decogs.codec.frame_payload import split_payload
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, dequantise
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import EFFECT_FIELDS, Corrections
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.frame_payload import split_payload
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.sound import frame_start, read_sound
+from decogs.codec.packets.syntax import write_delta, write_key, write_skip
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.sound import frame_start, read_sound
-from decogs.codec.state import ARRAYS, Attributes, State
-from decogs.codec.syntax import write_delta, write_key, write_skip
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import default_lattice, dequantise
+from decogs.codec.scene.state import ARRAYS, Attributes, State
 from decogs.decoder import info
 from decogs.decoder.commands import decode_main, export_main, info_main
-from decogs.decoder.following import follow_stream
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.following import follow_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.formats.cameras import Camera
-from decogs.formats.container import (
+from decogs.formats.errors import StreamError
+from decogs.formats.stream.container import (
     FRAME_KINDS,
     Packet,
     PacketKind,
@@ -41,8 +42,7 @@ from decogs.formats.container import (
     parse_index,
     read_packet_at,
 )
-from decogs.formats.errors import StreamError
-from decogs.formats.reasons import ALL_REASONS
+from decogs.formats.stream.reasons import ALL_REASONS
 from packets import iterate_packets
 
 sys.path.insert(0, str(Path(__file__).parent))

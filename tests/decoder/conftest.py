@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.state import Attributes, State, take_rows
-from decogs.codec.syntax import write_delta, write_key, write_skip
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key, write_skip
+from decogs.codec.scene.lattice import default_lattice, quantise
+from decogs.codec.scene.state import Attributes, State, take_rows
 from decogs.formats.cameras import Camera
-from decogs.formats.container import Packet, PacketKind, StreamWriter
 from decogs.formats.splats import Splats
+from decogs.formats.stream.container import Packet, PacketKind, StreamWriter
 from packets import iterate_packets
 
 KINDS = ("key", "delta", "skip", "delta", "key", "delta", "skip", "skip")

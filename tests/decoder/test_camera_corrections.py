@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from decogs.codec.corrections import ANGLE_STEP, Correction, turn
-from decogs.decoder.camera_corrections import apply_gain, as_it_stood
+from decogs.codec.packets.corrections import ANGLE_STEP, Correction, turn
+from decogs.decoder.cameras.corrections import apply_gain, as_it_stood
 from decogs.formats.cameras import Camera, camera_centre
 
 POSE = np.eye(4)

@@ -18,14 +18,14 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils
 
 from decogs.decoder import decode, export
-from decogs.decoder.camera_files import camera_file, read_camera_file
-from decogs.decoder.camera_path import ToFilm
+from decogs.decoder.cameras.files import camera_file, read_camera_file
+from decogs.decoder.cameras.path import ToFilm
 from decogs.formats.cameras import Camera, camera_centre, project
 from decogs.formats.errors import UsageError
-from decogs.formats.similarity import Similarity
-from decogs.formats.trial import try_apart
-from decogs.formats.usd import UsdWriter
-from decogs.formats.usd_prims import UsdSplats
+from decogs.formats.files.trial import try_apart
+from decogs.formats.geometry.similarity import Similarity
+from decogs.formats.usd.prims import UsdSplats
+from decogs.formats.usd.writing import UsdWriter
 
 RIG = Camera("cam00", 640, 480, 500.0, 500.0, 320.0, 240.0, np.eye(4))
 FILM = ToFilm((RIG,), fps=25.0, frame_count=11)
@@ -34,7 +34,7 @@ FILM = ToFilm((RIG,), fps=25.0, frame_count=11)
 @pytest.fixture(autouse=True)
 def read_here_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not in another process first, which takes half a second: what is refused is the same."""
-    monkeypatch.setattr("decogs.decoder.usd_camera.try_apart", lambda *_, **__: None)
+    monkeypatch.setattr("decogs.decoder.cameras.usd.try_apart", lambda *_, **__: None)
 
 
 def turn(degrees: float, axis: tuple[float, float, float]) -> np.ndarray:
@@ -358,7 +358,7 @@ def test_usd_binary_is_bounded_before_it_is_opened(tmp_path: Path, packed: bool)
 
 def test_a_count_that_fills_memory_ends_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """OpenUSD believes it: of 3 kB, it took 6 GB and ten seconds."""
-    monkeypatch.setattr("decogs.decoder.usd_camera.try_apart", try_apart)
+    monkeypatch.setattr("decogs.decoder.cameras.usd.try_apart", try_apart)
     path = tmp_path / "shot.usdc"
     usd(path).Save()
     data = bytearray(path.read_bytes())

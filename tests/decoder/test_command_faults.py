@@ -20,15 +20,15 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
 from decogs.decoder import decode
-from decogs.decoder.camera_fields import MAX_FILE_BYTES
+from decogs.decoder.cameras.fields import MAX_FILE_BYTES
+from decogs.decoder.cameras.pose_file import read_free_cameras
 from decogs.decoder.commands import decode_main, export_main
-from decogs.decoder.free_camera import read_free_cameras
-from decogs.formats.command_line import Parser, in_option_names, run, warn_as
-from decogs.formats.container import StreamWriter
+from decogs.formats.cli.command_line import Parser, in_option_names, run, warn_as
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.quiet import quiet_opencv
+from decogs.formats.stream.container import StreamWriter
+from decogs.formats.system.quiet import quiet_opencv
 from packets import iterate_packets
 
 RUN = "import sys; from decogs.decoder import commands; sys.exit(getattr(commands, sys.argv.pop(1))())"
@@ -186,7 +186,10 @@ def test_a_rate_that_no_video_has_is_to_blame_in_one_line(small_stream, tmp_path
 @pytest.mark.parametrize("kind", ["decode", "export"])
 def test_a_signal_leaves_nothing_behind(small_stream, tmp_path: Path, kind: str, ended_by: signal.Signals) -> None:
     """The command waits in the midst of its work; the signal then ends it as signals do."""
-    where = {"decode": "decogs.decoder.played_view.PlayedView.show", "export": "decogs.formats.usd.UsdWriter.add_group"}
+    where = {
+        "decode": "decogs.decoder.rendering.played_view.PlayedView.show",
+        "export": "decogs.formats.usd.writing.UsdWriter.add_group",
+    }
     module, kept, method = where[kind].rsplit(".", 2)
     program = f"""
 import signal, sys, time, {module} as patched
@@ -256,7 +259,7 @@ def test_importing_this_library_leaves_opencvs_log_alone(tmp_path: Path) -> None
     logging = cv2 if hasattr(cv2, "getLogLevel") else cv2.utils.logging  # OpenCV 4, 5
     program = (
         "import os, cv2; logging = cv2 if hasattr(cv2, 'getLogLevel') else cv2.utils.logging; "
-        "before = logging.getLogLevel(); import decogs.formats.rigs, decogs.decoder.picture_output; "
+        "before = logging.getLogLevel(); import decogs.formats.rigs, decogs.decoder.output.pictures; "
         "assert logging.getLogLevel() == before > 0; assert 'OPENCV_FFMPEG_LOGLEVEL' not in os.environ"
     )
     environment = {name: value for name, value in os.environ.items() if not name.startswith("OPENCV")}

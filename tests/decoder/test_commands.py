@@ -12,12 +12,12 @@ import OpenEXR
 import pytest
 
 import decogs.decoder
-from decogs.codec.lattice import dequantise
+from decogs.codec.scene.lattice import dequantise
 from decogs.decoder import decode, export, info, render_view
+from decogs.decoder.cameras.pose_file import read_free_cameras
 from decogs.decoder.commands import decode_main, export_main, info_main
-from decogs.decoder.exr_output import coverage, linear_light
-from decogs.decoder.free_camera import read_free_cameras
-from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.output.exr import coverage, linear_light
+from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
@@ -314,7 +314,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(small_stream, tmp_path: Path, cap
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("decogs.decoder.played_view.PlayedView.show", interrupted)
+    monkeypatch.setattr("decogs.decoder.rendering.played_view.PlayedView.show", interrupted)
     assert decode_main([str(small_stream.path), "--view", "cam00", "-o", str(tmp_path / "o.mp4")]) == 130
     assert capsys.readouterr().err == "decogs-decode: interrupted\n"
     assert os.listdir(tmp_path) == ["scene.dgs"]

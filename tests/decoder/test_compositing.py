@@ -10,11 +10,11 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from decogs.codec.corrections import Correction
+from decogs.codec.packets.corrections import Correction
 from decogs.decoder import decode, open_stream, render_view
-from decogs.decoder.exr_output import NOTHING_SEEN, Layers, coverage, linear_light, save_exr, without_background
+from decogs.decoder.output.exr import NOTHING_SEEN, Layers, coverage, linear_light, save_exr, without_background
 from decogs.decoder.rasterise import Rendering
-from decogs.decoder.views import recorded_colour
+from decogs.decoder.rendering.views import recorded_colour
 from decogs.formats.cameras import Camera, project
 from decogs.formats.errors import UsageError
 
@@ -133,15 +133,15 @@ def test_what_changes_and_where_it_goes(small_stream, tmp_path: Path, view: str)
 
 def test_a_lone_gaussian_moves_by_its_pixels(tmp_path: Path) -> None:
     """One Gaussian, two positions, two cameras: the vectors are the difference of its projections."""
-    from decogs.codec.deltas import apply_delta, difference
-    from decogs.codec.header import StreamHeader
-    from decogs.codec.keyframes import keyframe_state
-    from decogs.codec.lattice import default_lattice, quantise
-    from decogs.codec.state import take_rows
-    from decogs.codec.syntax import write_delta, write_key
-    from decogs.decoder.camera_path import CameraPath
-    from decogs.formats.container import PacketKind, StreamWriter
+    from decogs.codec.header.header import StreamHeader
+    from decogs.codec.packets.deltas import apply_delta, difference
+    from decogs.codec.packets.keyframes import keyframe_state
+    from decogs.codec.packets.syntax import write_delta, write_key
+    from decogs.codec.scene.lattice import default_lattice, quantise
+    from decogs.codec.scene.state import take_rows
+    from decogs.decoder.cameras.path import CameraPath
     from decogs.formats.splats import Splats
+    from decogs.formats.stream.container import PacketKind, StreamWriter
 
     scene = Splats(
         np.array([[0, 0, 2]], np.float32), np.full((1, 3), -2, np.float32), np.array([[1, 0, 0, 0]], np.float32),

@@ -16,18 +16,19 @@ import numpy as np
 import pytest
 
 from damaged_streams import EVERY, WHERE, flipped, frame_packet, shown
-from decogs.codec.deltas import Delta, apply_delta
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice
-from decogs.codec.state import GROUPS, Attributes, group_columns
-from decogs.codec.syntax import write_delta, write_key
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import Delta, apply_delta
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key
+from decogs.codec.scene.lattice import default_lattice
+from decogs.codec.scene.state import GROUPS, Attributes, group_columns
 from decogs.decoder import DamageWarning, info
 from decogs.decoder.commands import decode_main, export_main, info_main
-from decogs.decoder.damage import Damage
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.damage import Damage
+from decogs.decoder.reading.stream import open_stream
 from decogs.formats.cameras import Camera
-from decogs.formats.container import (
+from decogs.formats.errors import StreamError
+from decogs.formats.stream.container import (
     PACKET_HEADER_SIZE,
     PROLOGUE_SIZE,
     PacketKind,
@@ -36,9 +37,8 @@ from decogs.formats.container import (
     packet_bytes,
     read_index,
 )
-from decogs.formats.errors import StreamError
-from decogs.formats.reasons import DAMAGE
-from decogs.formats.survey import MAX_LOST_FRAMES, lost_frames_within
+from decogs.formats.stream.reasons import DAMAGE
+from decogs.formats.stream.survey import MAX_LOST_FRAMES, lost_frames_within
 from packets import iterate_packets
 
 
@@ -423,7 +423,7 @@ def test_the_memory_limit_holds_for_the_largest_scene_it_lets_in(tmp_path: Path)
     program = f"""
 import re
 from pathlib import Path
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 
 def peak():
     return int(re.search("VmHWM: *\t* *([0-9]+) kB", Path("/proc/self/status").read_text())[1]) << 10

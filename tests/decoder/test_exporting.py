@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdValidation
 
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
 from decogs.decoder import export, open_stream, render_view
 from decogs.decoder.commands import export_main
-from decogs.decoder.stream import read_header
+from decogs.decoder.reading.stream import read_header
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
-from decogs.formats.similarity import Similarity, transformed_splats
+from decogs.formats.geometry.similarity import Similarity, transformed_splats
+from decogs.formats.geometry.up_direction import AXES, turn_between
 from decogs.formats.splat_files import splat_formats
 from decogs.formats.splats import Splats
-from decogs.formats.up_direction import AXES, turn_between
 
 
 def names(folder: Path) -> list[str]:
@@ -139,7 +139,7 @@ def test_usd_without_a_turn_has_no_transform(small_stream: Any, tmp_path: Path) 
 def test_usd_says_what_it_is(small_stream: Any, tmp_path: Path, said: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if not said:
         monkeypatch.setattr(
-            "decogs.decoder.stream.read_header",
+            "decogs.decoder.reading.stream.read_header",
             lambda *given: replace(read_header(*given), source_text="", licence=""),
         )
     export(small_stream.path, tmp_path / "other.usdc")

@@ -15,10 +15,10 @@ import pytest
 
 from decogs.decoder import decode
 from decogs.decoder.commands import decode_main
-from decogs.decoder.following import follow_stream
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.following import follow_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.outputs import GrowingFile
+from decogs.formats.files.outputs import GrowingFile
 from packets import iterate_packets
 
 PATIENCE = 20.0

@@ -11,13 +11,13 @@ import pytest
 
 from damaged_streams import EVERY, WHERE, frame_packet, shown
 from decogs.decoder import DamageWarning
-from decogs.decoder.damage import Damage
-from decogs.decoder.following import follow_stream
-from decogs.decoder.frame import DecodedFrame
-from decogs.decoder.stream import open_stream
-from decogs.formats.container import Packet, PacketKind, packet_bytes, read_index
+from decogs.decoder.reading.damage import Damage
+from decogs.decoder.reading.following import follow_stream
+from decogs.decoder.reading.frame import DecodedFrame
+from decogs.decoder.reading.stream import open_stream
 from decogs.formats.errors import StreamError
-from decogs.formats.survey import MAX_DAMAGED_PLACES, lost_frames_within
+from decogs.formats.stream.container import Packet, PacketKind, packet_bytes, read_index
+from decogs.formats.stream.survey import MAX_DAMAGED_PLACES, lost_frames_within
 from packets import iterate_packets
 
 Told = tuple[list[int], int | None, bool]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.decoder.camera_path import CameraPath, shown_frames
-from decogs.decoder.free_camera import read_free_cameras
+from decogs.decoder.cameras.path import CameraPath, shown_frames
+from decogs.decoder.cameras.pose_file import read_free_cameras
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import UsageError
 

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import default_lattice
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import default_lattice
 from decogs.decoder import decode, render_view
-from decogs.decoder.camera_moves import looking
+from decogs.decoder.cameras.moves import looking
 from decogs.decoder.commands import decode_main
-from decogs.decoder.layouts import Equirectangular, Stereo
+from decogs.decoder.rendering.layouts import Equirectangular, Stereo
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import SH_C0, Splats

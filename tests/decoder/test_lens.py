@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.lens import (
+from decogs.decoder.cameras.lens import (
     WIDEST,
     Redistortion,
     Undistortion,

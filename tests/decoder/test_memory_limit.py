@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.syntax import write_key
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_key
+from decogs.codec.scene.lattice import default_lattice, quantise
 from decogs.decoder import decode, info
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.splats import Splats
+from decogs.formats.stream.container import PacketKind, StreamWriter
 
 LENS = ("opencv", (-0.1, 0.0, 0.0, 0.0))
 
@@ -49,7 +49,7 @@ PROGRAM = """
 import re, sys
 from pathlib import Path
 import cv2, OpenEXR
-import decogs.decoder.decoding, decogs.decoder.played_view
+import decogs.decoder.decoding, decogs.decoder.rendering.played_view
 from decogs.decoder.rasterise.native import renderer
 
 def peak():

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.exr_output import Layers, linear_light
-from decogs.decoder.picture_output import open_sink, to_8bit
+from decogs.decoder.output.exr import Layers, linear_light
+from decogs.decoder.output.pictures import open_sink, to_8bit
 from decogs.decoder.rasterise import Rendering
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError

@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import CorrectedCameras, Correction, Corrections, write_corrections
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.index_sets import read_index_set
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.state import Attributes, Rows, State, take_rows
-from decogs.codec.syntax import Coded, write_delta, write_key, write_skip
+from decogs.codec.coding.index_sets import read_index_set
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras, Correction, Corrections, write_corrections
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import Coded, write_delta, write_key, write_skip
+from decogs.codec.scene.lattice import default_lattice, quantise
+from decogs.codec.scene.state import Attributes, Rows, State, take_rows
 from decogs.decoder import open_stream, render_view
-from decogs.decoder.played_view import PlayedView
 from decogs.decoder.rasterise import Rendering
 from decogs.decoder.rasterise.incremental_view import IncrementalView
+from decogs.decoder.rendering.played_view import PlayedView
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PACKET_OVERHEAD, PacketKind, StreamWriter
-from decogs.formats.cursor import Cursor
 from decogs.formats.splats import Splats
+from decogs.formats.stream.container import PACKET_OVERHEAD, PacketKind, StreamWriter
+from decogs.formats.stream.cursor import Cursor
 
 LATTICE = default_lattice(2.0)
 POSE = np.eye(4)
@@ -146,7 +146,7 @@ def test_a_delta_is_parsed_once_when_it_is_decoded_and_played(tmp_path: Path, mo
         parsed.append(count)
         return read_index_set(cursor, count)
 
-    monkeypatch.setattr("decogs.codec.syntax.read_index_set", observed)
+    monkeypatch.setattr("decogs.codec.packets.syntax.read_index_set", observed)
     with open_stream(random_stream(tmp_path / "random.dgs", np.random.default_rng(8), 300)) as stream:
         view, deltas = PlayedView(stream.header, "pinhole", scale=0.1), 0
         for frame in stream.frames():

@@ -17,9 +17,9 @@ from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.decoder.rasterise.native import render_planes
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
-from decogs.formats.kernels import INSTRUCTION_SETS
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
-from decogs.formats.threads import thread_count
+from decogs.formats.system.kernels import INSTRUCTION_SETS
+from decogs.formats.system.threads import thread_count
 from instruction_sets import printed_on
 
 
@@ -114,7 +114,7 @@ def test_any_instruction_set_gives_the_same_bits(instruction_set: str) -> None:
 
 
 def test_unknown_instruction_set_is_one_clear_line() -> None:
-    program = "from decogs.formats.kernels import best_instruction_set; best_instruction_set()"
+    program = "from decogs.formats.system.kernels import best_instruction_set; best_instruction_set()"
     env = {**os.environ, "DECOGS_INSTRUCTION_SET": "sse9"}
     run = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, check=False)
     assert "DECOGS_INSTRUCTION_SET=sse9: this machine runs" in run.stderr.splitlines()[-1]

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.sound import (
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.sound import (
     MAX_BLOCKS,
     MAX_PACKETS,
     MAX_TRACKS,
@@ -25,17 +25,17 @@ from decogs.codec.sound import (
     frame_start,
     read_sound,
 )
-from decogs.codec.syntax import write_key, write_skip
+from decogs.codec.packets.syntax import write_key, write_skip
 from decogs.decoder import decode, decode_sound, info, open_stream
 from decogs.decoder.commands import decode_main, info_main
 from decogs.decoder.editing import Set, edit
-from decogs.decoder.following import follow_stream
+from decogs.decoder.reading.following import follow_stream
 from decogs.decoder.sound.coding import coded
 from decogs.decoder.sound.samples import frames_before, heard, mixed
-from decogs.formats.container import FRAME_KINDS, PROLOGUE_SIZE, Packet, PacketKind, StreamWriter, packet_bytes
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.opus import OpusDecoder
-from decogs.formats.survey import MAX_DAMAGED_PLACES
+from decogs.formats.sound.opus import OpusDecoder
+from decogs.formats.stream.container import FRAME_KINDS, PROLOGUE_SIZE, Packet, PacketKind, StreamWriter, packet_bytes
+from decogs.formats.stream.survey import MAX_DAMAGED_PLACES
 from packets import iterate_packets
 from sounding_streams import FIRST_TONE, STEP, with_sound
 
@@ -162,7 +162,7 @@ def test_it_alone_is_a_wav(sounding: Path, small_stream, tmp_path: Path, capsys:
 def test_a_film_of_another_rate_or_on_wish_has_none(sounding: Path, tmp_path: Path) -> None:
     import av
 
-    from decogs.decoder.video_output import VideoSettings
+    from decogs.decoder.output.video import VideoSettings
 
     def has_sound(name: str) -> bool:
         with av.open(str(tmp_path / name)) as container:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from decogs.formats.extras import install
+from decogs.formats.system.extras import install
 
 BLOCKED = """
 import sys

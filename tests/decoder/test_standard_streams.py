@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from decogs.formats.command_line import number, number_of_threads, whole_number
+from decogs.formats.cli.command_line import number, number_of_threads, whole_number
 
 
 def run(module: str, main: str, *arguments: str | Path, closed: tuple[int, ...] = (), **given: Any) -> tuple[int, str]:
@@ -76,7 +76,7 @@ def test_nothing_goes_to_standard_output_in_place_of_a_closed_stderr(stream: Pat
 @pytest.mark.parametrize(("unbuffered", "named"), [("", "standard output: "), ("1", "")])
 def test_a_full_standard_output_is_one_line(unbuffered: str, named: str) -> None:
     code = (
-        "import sys; from decogs.formats.command_line import Parser, run; "
+        "import sys; from decogs.formats.cli.command_line import Parser, run; "
         "sys.exit(run(Parser(prog='x'), lambda: print('figures')))"
     )
     with Path("/dev/full").open("wb") as full:

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise
-from decogs.codec.state import State
-from decogs.decoder.following import follow_stream
-from decogs.decoder.lens import Redistortion
+from decogs.codec.scene.lattice import dequantise
+from decogs.codec.scene.state import State
+from decogs.decoder.cameras.lens import Redistortion
 from decogs.decoder.rasterise import render
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
-from decogs.formats import container
+from decogs.decoder.reading.following import follow_stream
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import as_pinhole, scale_camera
-from decogs.formats.container import PACKET_OVERHEAD, read_index, scan_index
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.frame_ranges import frame_range
+from decogs.formats.frames.ranges import frame_range
+from decogs.formats.stream import container
+from decogs.formats.stream.container import PACKET_OVERHEAD, read_index, scan_index
 
 ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "ids")
 

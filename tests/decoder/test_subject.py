@@ -10,13 +10,13 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from decogs.codec.corrections import CorrectedCameras, Correction
+from decogs.codec.packets.corrections import CorrectedCameras, Correction
 from decogs.decoder import decode, info, open_stream, render_view
 from decogs.decoder.commands import decode_main, info_main
-from decogs.decoder.exr_output import linear_light
-from decogs.decoder.layouts import Stereo
-from decogs.decoder.video_output import VideoSettings
-from decogs.formats.colour import srgb_from_linear
+from decogs.decoder.output.exr import linear_light
+from decogs.decoder.output.video import VideoSettings
+from decogs.decoder.rendering.layouts import Stereo
+from decogs.formats.colours.srgb import srgb_from_linear
 from decogs.formats.errors import UsageError
 from packets import with_header
 

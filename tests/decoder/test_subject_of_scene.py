@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
-from decogs.codec.corrections import ANGLE_STEP, Correction
-from decogs.decoder import DecodedFrame, Stream, decode, export, open_stream, subject
-from decogs.decoder.camera_corrections import as_it_stood
+from decogs.codec.packets.corrections import ANGLE_STEP, Correction
+from decogs.decoder import DecodedFrame, Stream, decode, export, open_stream
+from decogs.decoder.cameras.corrections import as_it_stood
+from decogs.decoder.cameras.lens import Undistortion, distort_pixels
 from decogs.decoder.commands import decode_main, export_main
-from decogs.decoder.lens import Undistortion, distort_pixels
+from decogs.decoder.subject import subject
 from decogs.formats.cameras import Camera, as_pinhole, in_picture, project
 from decogs.formats.errors import DecogsError
 from decogs.formats.splat_files import splat_formats

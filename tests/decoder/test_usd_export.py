@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdValidation
 
-from decogs.decoder import usd_export
-from decogs.decoder.usd_export import ExportFrame, export_usd, take_census, usd_splats
+from decogs.decoder.exporting import usd as usd_export
+from decogs.decoder.exporting.usd import ExportFrame, export_usd, take_census, usd_splats
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import SH_C0, Splats, take_splats

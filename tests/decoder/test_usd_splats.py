@@ -16,9 +16,10 @@ import pytest
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdValidation, UsdVol
 
-from decogs.decoder import export, open_stream, usd_export
+from decogs.decoder import export, open_stream
 from decogs.decoder.commands import export_main
-from decogs.decoder.usd_export import ExportFrame, export_usd
+from decogs.decoder.exporting import usd as usd_export
+from decogs.decoder.exporting.usd import ExportFrame, export_usd
 from decogs.formats.errors import UsageError
 from decogs.formats.splat_files.quantised import unit_rotations
 from decogs.formats.splats import Splats, join_splats, sigmoid, take_splats

@@ -18,10 +18,10 @@ import pytest
 
 from decogs.decoder import decode
 from decogs.decoder.commands import decode_main
-from decogs.decoder.picture_output import open_sink, to_8bit
+from decogs.decoder.output.pictures import open_sink, to_8bit
+from decogs.decoder.output.raw_video import RawVideo
+from decogs.decoder.output.video import Movie, VideoSettings, halved
 from decogs.decoder.rasterise import Rendering
-from decogs.decoder.raw_video import RawVideo
-from decogs.decoder.video_output import Movie, VideoSettings, halved
 from decogs.formats.errors import UsageError
 
 FRAMES = 8
@@ -148,7 +148,7 @@ def test_the_same_bytes_whatever_memory_held_before(tmp_path: Path) -> None:
 from pathlib import Path
 import cv2
 import numpy as np
-from decogs.decoder.video_output import Movie, VideoSettings
+from decogs.decoder.output.video import Movie, VideoSettings
 random = np.random.default_rng(0)
 movie = Movie(Path({str(tmp_path)!r}) / "x.mp4", 25, VideoSettings())
 for _ in range(8):

@@ -23,21 +23,21 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import quantise
-from decogs.codec.syntax import write_key
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_key
+from decogs.codec.scene.lattice import quantise
 from decogs.decoder import open_stream, view
 from decogs.decoder.commands import view_main
 from decogs.decoder.editing import Set, Transform, edit
+from decogs.decoder.rendering.views import render_view
 from decogs.decoder.viewing import notebook, page_files, piped
 from decogs.decoder.viewing.byte_ranges import NoSuchBytes, asked_range
 from decogs.decoder.viewing.recorded_pictures import RecordedPictures
 from decogs.decoder.viewing.server import StreamServer, serve_stream
 from decogs.decoder.viewing.site import write_site
-from decogs.decoder.views import render_view
-from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig, read_frames
+from decogs.formats.stream.container import PacketKind, StreamWriter
 
 RIG = Path(__file__).parents[1] / "demo" / "workbench"
 COMMAND = Path(sys.executable).parent / "decogs-view"

@@ -17,7 +17,7 @@ import numpy as np
 from decogs.decoder import decode, export, info
 from decogs.encoder import EncodeJob, TerminalProgress, encode
 from decogs.formats.errors import DecogsError
-from decogs.formats.pictures import Picture, read_picture
+from decogs.formats.pictures.reading import Picture, read_picture
 from decogs.formats.rigs import open_rig, read_frames
 
 RIG = Path(__file__).resolve().parent / "workbench"

@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 
 from decogs.decoder import open_stream, render_view
-from decogs.decoder.camera_moves import camera_move
-from decogs.decoder.camera_path import ToFilm
-from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.cameras.moves import camera_move
+from decogs.decoder.cameras.path import ToFilm
+from decogs.decoder.output.pictures import to_8bit
 
 FPS = 16
 """In 4 seconds the sample rig's nine frames then play forwards and backwards four times, and end where they begin."""

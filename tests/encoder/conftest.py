@@ -16,16 +16,15 @@ import pytest
 
 import decogs.encoder.frame.plan as plan
 import decogs.encoder.stream.encoder as stream_encoder
-from decogs.codec.corrections import Correction
-from decogs.codec.state import State
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.codec.packets.corrections import Correction
+from decogs.codec.scene.state import State
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
 from decogs.encoder.frame.context import Context
 from decogs.encoder.frame.encode_frame import Encoded as EncodedFrame
 from decogs.encoder.input.imported_keyframe import read_keyframe
-from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.frame import FrameSettings, MaskSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.stream.options import RunOptions
@@ -33,6 +32,7 @@ from decogs.encoder.stream.run import encode_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import SH_C0, Splats, join_splats
+from decogs.rig.pictures.ingest import Ingest
 
 WIDTH, HEIGHT, FRAMES, CAMERAS = 64, 48, 4, 5
 HELD_OUT = "cam02"
@@ -49,9 +49,7 @@ TINY = EncodeSettings(
         masks=MaskSettings(threshold=10.0),
         joint_iterations=10,
         warm_start=0.9,
-        grow_gradient=1e-5,
     ),
-    zstd_level=3,
 )
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.input.ingest import View
 from decogs.encoder.keyframe.border_extrapolation import border_extrapolation
 from decogs.formats.cameras import Camera, in_picture, project
 from decogs.formats.splats import Splats, round_splats
+from decogs.rig.pictures.ingest import View
 
 WALL = 4.0
 """Depth of a wall before two cameras beside each other."""

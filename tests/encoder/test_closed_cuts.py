@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import Correction
-from decogs.codec.lattice import dequantise
-from decogs.codec.state import State
-from decogs.codec.syntax import write_key
-from decogs.decoder.picture_output import to_8bit
+from decogs.codec.packets.corrections import Correction
+from decogs.codec.packets.syntax import write_key
+from decogs.codec.scene.lattice import dequantise
+from decogs.codec.scene.state import State
+from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import render
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, join
 from decogs.encoder.coding.scene import Scene
-from decogs.encoder.frame.segment_starts import SegmentStart, SegmentStarts
-from decogs.encoder.input.ingest import Ingest, RigFrame
+from decogs.encoder.frame.segment_starts import SceneStart, SegmentStarts
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.live import LiveSource
 from decogs.formats.splats import join_splats
+from decogs.rig.pictures.ingest import Ingest, RigFrame
 from encode_rig import encode_rig
 
 SEGMENT = 2
@@ -54,6 +54,15 @@ def take(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Take:
         return made.setdefault(shown, folder)
 
     return write
+
+
+def start_with(frame: RigFrame) -> SceneStart:
+    unread: Any = None
+    return SceneStart(unread, unread, frame, corrections=None, stage=None)
+
+
+def starts_of(ingest: Ingest) -> SegmentStarts:
+    return SegmentStarts(ingest, SEGMENT, start_with(next(ingest.frames(0, 1))))
 
 
 def drifting(name: str, frame: int) -> Correction:
@@ -148,14 +157,13 @@ def test_a_take_that_returns_to_its_first_scene_starts_from_the_first_keyframe(
 )
 def test_the_cut_is_found_from_pictures(take: Take, shown: str, start: int, cut: int | None) -> None:
     ingest = Ingest(open_rig(take(shown)))
-    starts = SegmentStarts(ingest, SEGMENT)
-    first, frame = (next(ingest.frames(at, at + 1, first=0)) for at in (0, start))
+    starts, frame = starts_of(ingest), next(ingest.frames(start, start + 1, first=0))
     asked: list[int] = []
 
     def train(recorded: RigFrame) -> None:
         asked.append(recorded.index)
 
-    assert starts.before(frame, first, train) is None
+    assert starts.before(frame, train) is None
     assert asked == ([] if cut is None else [cut])
 
 
@@ -163,22 +171,22 @@ def test_a_cut_in_which_a_camera_fails_begins_a_frame_later(take: Take, tiny_rig
     rig = tiny_rig.poisoned(take("AAABBB"), tmp_path / "rig", "cam00")
     (rig / "cam01" / "0003.png").write_bytes(b"no picture")
     ingest = Ingest(open_rig(rig))
-    first, frame = (next(ingest.frames(at, at + 1, first=0)) for at in (0, 4))
+    frame = next(ingest.frames(4, 5, first=0))
     asked: list[int] = []
-    SegmentStarts(ingest, SEGMENT).before(frame, first, lambda recorded: asked.append(recorded.index))
+    starts_of(ingest).before(frame, lambda recorded: asked.append(recorded.index))
     assert asked == [], "frame 3 is lost, and frame 4 is the start itself"
 
 
-def test_a_recording_that_goes_on_is_not_read_back(tiny_rig: Any, moving: Any) -> None:
+def test_a_recording_that_goes_on_is_not_read_back(tiny_rig: Any) -> None:
     """There a segment starts from the last cut that was met; there are no parts."""
     live = LiveSource(Path("cam00"), tiny_rig.camera(0), recording=None)  # type: ignore[arg-type]
-    starts = SegmentStarts(SimpleNamespace(rig=SimpleNamespace(sources=[live])), SEGMENT)  # type: ignore[arg-type]
-    first, frame = (RigFrame(index, [], []) for index in (0, 6))
-    assert starts.before(frame, first, pytest.fail) is None
-    made = [SegmentStart(moving.states[0], None, RigFrame(index, [], []), None) for index in (5, 3)]  # type: ignore[arg-type]
+    rig: Any = SimpleNamespace(rig=SimpleNamespace(sources=[live]))
+    first, *made = (start_with(RigFrame(index, [], [])) for index in (0, 5, 3))
+    starts, frame = SegmentStarts(rig, SEGMENT, first), RigFrame(6, [], [])
+    assert starts.before(frame, pytest.fail) is None
     for each in made:
         starts.keep(each)
-    assert starts.before(frame, first, pytest.fail) is made[0]
+    assert starts.before(frame, pytest.fail) is made[0]
 
 
 def test_the_ids_of_a_long_scene_after_a_cut_can_be_listed(tiny_settings: Any, moving: Any) -> None:

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from decogs.decoder.exporting import export
+from decogs.decoder.exporting.exporting import export
 from decogs.encoder import EncodeJob
 from decogs.encoder.cluster import ray_engine
 from decogs.encoder.cluster.encoding import encode_on_cluster
@@ -47,7 +47,7 @@ def settings(tiny_settings: Any) -> Any:
     """Long enough for a part to be killed in the middle."""
     significance = SignificanceSettings(threshold=1.0)
     frame = replace(tiny_settings.frame, joint_iterations=400, significance=significance)
-    return replace(tiny_settings, frame=frame, catch_up=2)
+    return replace(tiny_settings, frame=frame)
 
 
 @pytest.fixture(scope="module")

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import Correction, with_colours
-from decogs.codec.digest import digest
-from decogs.decoder.camera_corrections import apply_gain
+from decogs.codec.packets.corrections import Correction, with_colours
+from decogs.codec.scene.digest import digest
+from decogs.decoder.cameras.corrections import apply_gain
 from decogs.decoder.decoding import decode
-from decogs.decoder.stream import open_stream
-from decogs.decoder.stream_info import info
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.info import info
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder.input.compensation.colour import logit_shift
 from decogs.encoder.input.compensation.matching import find_colours
-from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import in_picture, project
-from decogs.formats.pictures import read_picture
+from decogs.formats.pictures.reading import read_picture
 from decogs.formats.rigs import open_rig
+from decogs.rig.pictures.ingest import Ingest
 
 COLOURS = {
     "cam00": Correction(exposure=900),

@@ -19,7 +19,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.effects import PRESET_EFFECTS

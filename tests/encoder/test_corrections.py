@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import decogs.encoder.coding.packets as packets
-from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, Correction
-from decogs.codec.digest import digest
-from decogs.decoder.camera_corrections import apply_gain, as_it_stood
+from decogs.codec.packets.corrections import ANGLE_STEP, COLOUR_STEP, Correction
+from decogs.codec.scene.digest import digest
+from decogs.decoder.cameras.corrections import apply_gain, as_it_stood
 from decogs.decoder.decoding import decode
 from decogs.decoder.rasterise import Rendering, render
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder.backends import RenderedPicture
 from decogs.encoder.backends.cpu.cpu_kernel import HostPicture
 from decogs.encoder.input.compensation import CorrectionMemory, Corrector, _of_the_others, corrector_of
@@ -26,12 +26,12 @@ from decogs.encoder.input.compensation.agreement import SharedSurface, agreeing_
 from decogs.encoder.input.compensation.benefit import Benefit
 from decogs.encoder.input.compensation.colour import logit_shift, remove_gain
 from decogs.encoder.input.compensation.shake import angles_of, estimate_turn, undo_turn
-from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
-from decogs.formats.pictures import read_picture
+from decogs.formats.pictures.reading import read_picture
 from decogs.formats.rigs import open_rig, read_frames
+from decogs.rig.pictures.ingest import Ingest, View
 
 SHIFT = (0.2, -0.1, 0.05)
 LENS = (0.12, 0.01, 0.002, -0.003)

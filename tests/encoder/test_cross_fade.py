@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 from decogs.decoder.rasterise import render
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import EncodeSettings
 from decogs.encoder.backends import ATTRIBUTES, training_kernel
 from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.frame.cross_fade import CrossFade, cross_fade, fade_cameras
 from decogs.encoder.frame.next_segment import with_following
-from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import Splats, empty_splats, take_splats
+from decogs.rig.pictures.ingest import RigFrame
 from encode_rig import encode_rig
 
 STILL = (0, 1, 3, 3, 3, 3, 3)

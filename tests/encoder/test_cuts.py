@@ -11,17 +11,21 @@ import cv2
 import numpy as np
 import pytest
 
+import decogs.encoder.coding.scene as coding_scene
 import decogs.encoder.frame.encode_frame as encode_frame
-from decogs.codec.digest import digest
-from decogs.decoder.picture_output import to_8bit
+import decogs.encoder.frame.events as events
+import decogs.encoder.stream.encoder as stream_encoder
+from decogs.codec.reconstruct import reconstruct
+from decogs.codec.scene.digest import digest
+from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import render
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.change.cuts import shows_another_scene
 from decogs.encoder.keyframe.first_frame import train_first_frame
 from decogs.encoder.settings.effects import CorrectionSettings
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import join_splats
+from decogs.formats.stream.container import PacketKind
 
 
 def picture(seed: int, *, noise: float = 0.0) -> np.ndarray:
@@ -102,7 +106,9 @@ def check_decoded(encoded: Any) -> list[PacketKind]:
     return [report.kind for report in encoded.report.frames]
 
 
-def test_another_scene_gets_a_keyframe(cut_rig: Path, encode: Any, tiny_settings: Any) -> None:
+def test_another_scene_gets_a_keyframe(
+    cut_rig: Path, encode: Any, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     steps: list[int] = []
     settings = replace(tiny_settings, keyframe=replace(tiny_settings.keyframe, iterations=200))
     cut = encode(cut_rig, settings=settings, on_keyframe_step=lambda step, steps_, loss: steps.append(step))
@@ -111,7 +117,8 @@ def test_another_scene_gets_a_keyframe(cut_rig: Path, encode: Any, tiny_settings
     assert steps.count(1) == 2, "the progress of both keyframes is told"
     before, after = cut.states[1], cut.states[2]
     assert int(after.ids[0]) == before.next_id, "no Gaussian of the former scene is left, and no id is given twice"
-    kept = encode(cut_rig, settings=replace(settings, cuts=False), keyframe=cut.path)
+    monkeypatch.setattr(events, "shows_another_scene", lambda *_: False)
+    kept = encode(cut_rig, settings=settings, keyframe=cut.path)
     assert check_decoded(kept)[2] == "delta"
     gain = [
         one.held_out_psnr - other.held_out_psnr
@@ -137,6 +144,23 @@ def test_an_encode_with_a_cut_is_resumed_to_the_same_bytes(
         assert encode(cut_rig, settings=settings, output=path, resume=True).data == whole.data, frames
 
 
+def test_a_replayed_packet_is_decoded_once(
+    cut_rig: Path, encode: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, decoded = encode(cut_rig), list[int]()
+
+    def noted(before: Any, packet: Any, *header: Any, **first: Any) -> Any:
+        decoded.append(packet.frame)
+        return reconstruct(before, packet, *header, **first)
+
+    for module in (coding_scene, encode_frame, stream_encoder):
+        monkeypatch.setattr(module, "reconstruct", noted)
+    path = tmp_path / "resumed.dgs"
+    path.with_name(f"{path.name}.part").write_bytes(whole.cut_off(3))
+    assert encode(cut_rig, output=path, resume=True).data == whole.data
+    assert decoded == [0, 1, 2, 3]
+
+
 @pytest.mark.parametrize("closed", [False, True])
 def test_a_cut_inside_and_at_the_start_of_segments(
     cut_rig: Path, encode: Any, tiny_settings: Any, closed: bool
@@ -154,7 +178,7 @@ def test_no_keyframe_is_trained_within_a_time_budget(cut_rig: Path, encode: Any,
 
 
 def test_a_cut_that_cannot_be_a_keyframe_is_trained_as_other_frames_are(
-    cut_rig: Path, encode: Any, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    cut_rig: Path, encode: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def fails(*arguments: Any, header: Any = None, **options: Any) -> Any:
         if header is not None:
@@ -164,11 +188,12 @@ def test_a_cut_that_cannot_be_a_keyframe_is_trained_as_other_frames_are(
     monkeypatch.setattr(encode_frame, "train_first_frame", fails)
     encoded = encode(cut_rig)
     assert check_decoded(encoded)[2] == "delta"
-    kept = encode(cut_rig, settings=replace(tiny_settings, cuts=False))
-    assert [digest(state) for state in encoded.states] == [digest(state) for state in kept.states]
     path = tmp_path / "left.dgs"
     path.with_name(f"{path.name}.part").write_bytes(encoded.cut_off(3))
     assert encode(cut_rig, output=path, resume=True).data == encoded.data
+    monkeypatch.setattr(events, "shows_another_scene", lambda *_: False)
+    kept = encode(cut_rig)
+    assert [digest(state) for state in encoded.states] == [digest(state) for state in kept.states]
 
 
 def test_a_cut_in_which_a_camera_fails_waits_for_no_keyframe(cut_rig: Path, encode: Any, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from decogs.encoder.backends import TrainingKernel, gradients_like
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
 from decogs.encoder.training.densification import grow, strongest
-from decogs.formats.rotations import rotation_matrices
+from decogs.formats.geometry.rotations import rotation_matrices
 from decogs.formats.splats import Splats
 from rasterise_cases import pinhole
 

@@ -25,13 +25,13 @@ from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.calibration.commands import calibrate_main
 from decogs.encoder.commands import encode_main, join_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
-from decogs.encoder.synchronisation.commands import sync_main
 from decogs.formats.cameras import project
-from decogs.formats.container import SIGNATURE
 from decogs.formats.rigs import open_rig
+from decogs.formats.stream.container import SIGNATURE
+from decogs.rig.calibration.commands import calibrate_main
+from decogs.rig.synchronisation.commands import sync_main
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -58,6 +58,8 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-view": view_main,
 }
 LONGEST_README = 110
+MOST_WORDS = 24_000
+TRADES = ("film.md", "compare.md", "web.md", "shots.md")
 MIDDLE = np.zeros((1, 3), np.float32)
 
 
@@ -99,11 +101,10 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
         monkeypatch.setitem(PRESETS, name, short)
     monkeypatch.chdir(tmp_path)
     assert encode_main(["rig_dir", "-o", "scene.dgs", "--effects", "motion"]) == 0
-    for name, document in (("pose.json", "free-cameras.md"), ("bullet.json", "cameras.md"), ("edits.toml", "edit.md")):
-        kind = Path(name).suffix[1:]
-        shown = re.search(rf"```{kind}\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
-        assert shown is not None
-        Path(name).write_text(shown[1])
+    for document, names in (("cameras.md", ["pose.json", "bullet.json"]), ("edit.md", ["edits.toml"])):
+        shown = re.findall(r"```(?:json|toml)\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
+        for name, text in zip(names, shown, strict=True):
+            Path(name).write_text(text)
     return tmp_path
 
 
@@ -159,11 +160,16 @@ def test_commands_are_found() -> None:
     assert sum(len(python_of(document)) for document in DOCS) >= 3
 
 
+def links_of(document: Path) -> set[str]:
+    """The files of the checkout that a page links to, as it names them."""
+    targets = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text())
+    return {target for target in targets if not target.startswith("http")}
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_somewhere(document: Path) -> None:
-    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text()):
-        if not target.startswith("http"):
-            assert (document.parent / target).exists(), target
+    for target in links_of(document):
+        assert (document.parent / target).exists(), target
 
 
 def test_each_room_of_the_encoder_is_in_the_table_of_rooms() -> None:
@@ -187,5 +193,13 @@ def is_full_report(path: Path) -> bool:
     return "full" in path.parts or path.name == "full.zip"
 
 
-def test_the_readme_is_short() -> None:
+def test_the_readme_and_the_documents_are_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= LONGEST_README
+    assert sum(len(document.read_text().split()) for document in DOCS) <= MOST_WORDS
+
+
+def test_the_readme_leads_to_the_trades_and_these_to_every_page() -> None:
+    assert {f"docs/{trade}" for trade in TRADES} <= links_of(ROOT / "README.md")
+    ways_in = [ROOT / "README.md", *(ROOT / "docs" / trade for trade in TRADES)]
+    linked = {(page.parent / target).resolve() for page in ways_in for target in links_of(page)}
+    assert set(DOCS) - linked == set()

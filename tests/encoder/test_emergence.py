@@ -12,13 +12,13 @@ import pytest
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import FrameMask
-from decogs.encoder.input.ingest import View
-from decogs.encoder.numerics import bilinear
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training import seeding
 from decogs.encoder.training.seeding import SearchView, enough_missed_pixels, missed_pixels
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
+from decogs.rig.numerics import bilinear
+from decogs.rig.pictures.ingest import View
 from one_frame import sparse_trainer, train
 
 SETTINGS = EmergenceSettings()

@@ -15,9 +15,9 @@ import pytest
 from decogs.decoder import open_stream
 from decogs.encoder import PRESETS, EncodeJob, Switches, Targets, TerminalProgress
 from decogs.encoder.settings.effects import CAMERA_EFFECTS
-from decogs.formats.container import FRAME_KINDS, PacketKind
 from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind
 from encode_rig import encode_rig
 from packets import iterate_packets
 

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import Switches
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
+from decogs.encoder.job.switches import with_selection
 from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.registry import Registry, anything, guarded
 from decogs.encoder.settings.frame import SelectionSettings
-from decogs.encoder.switches import with_selection
 from decogs.encoder.training.method import FrameMethod, TrainedFrame
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, take_splats
@@ -115,6 +115,12 @@ def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         registry.get("other")
 
 
+def test_a_method_of_the_bench_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "decogs.bench.methods.threedgstream", None)
+    with pytest.raises(UsageError, match=r"^3dgstream: this method comes with the bench, .*\[bench\]'$"):
+        FRAME_METHODS.get("3dgstream")
+
+
 def test_ours_cannot_be_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     point = _Point()
     point.name = "weight"
@@ -174,8 +180,6 @@ def test_what_a_rule_does_wrong_is_said_with_its_package(
 
 
 class _Trainer:
-    min_seconds = 0.0
-
     def __init__(self, result: Any) -> None:
         self._result = result
 
@@ -200,10 +204,11 @@ ROWS = "that are not ascending from 0 to "
         (None, "is no FrameMethod but None"),
         (FrameMethod(None), "is no function but None"),  # type: ignore[arg-type]
         (FrameMethod(raises), "raised ValueError: no such thing"),
-        (FrameMethod(returns(None)), "returned None, which has no number `min_seconds` or no function `train`"),
+        (FrameMethod(returns(None)), "returned None, which has no function `train`"),
         (None, "returned None, no TrainedFrame"),
         (lambda frame: np.zeros(3), "returned float64 (3,), no TrainedFrame"),
         (raises, "raised ValueError: no such thing"),
+        (lambda frame: trained(frame, pace=0.5), "returned `pace` as float"),
         (lambda frame: trained(frame, kept=None), "returned `kept` as None, not as row numbers"),
         (lambda frame: trained(frame, kept=np.zeros(2)), "returned `kept` as float64 (2,), not as row numbers"),
         (lambda frame: trained(frame, removed=np.array([-1])), "returned `removed` with rows " + ROWS),

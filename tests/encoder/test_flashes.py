@@ -11,13 +11,13 @@ import pytest
 
 from decogs.encoder.change.flashes import MAX_FLASH_FRAMES, changes_most, matches
 from decogs.encoder.change.masks import MaskMemory, PixelChange
-from decogs.encoder.frame.events import Event, PendingFrame, what_happened
+from decogs.encoder.frame.events import PendingFrame, what_happened
 from decogs.encoder.frame.memory import Memory
-from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.training.warm_start import Motion
+from decogs.rig.pictures.ingest import RigFrame
 
 MASKS = MaskSettings(threshold=10.0)
 DARK = np.random.default_rng(1).uniform(0.1, 0.4, (3, 5, 6)).astype(np.float32).repeat(8, 1).repeat(8, 2)
@@ -44,19 +44,19 @@ def test_only_views_that_show_their_frame_say_what_may_be_one(share: float, may_
 
 def memory_of(picture: np.ndarray, motion: Motion = MOVING) -> Memory:
     trainer: Any = SimpleNamespace()
-    return Memory(trainer, MaskMemory.begin([picture]), motion, None, None, None)
+    views: Any = SimpleNamespace(pictures=lambda splats: [DARK])
+    return Memory(trainer, MaskMemory.begin([picture]), motion, None, None, None, views)
 
 
-def happened(index: int, picture: np.ndarray, memory: Memory, scene: Any) -> Event:
+def happened(index: int, picture: np.ndarray, memory: Memory, scene: Any) -> PendingFrame:
     context: Any = SimpleNamespace(
         settings=SETTINGS,
         method=SimpleNamespace(dense=False),
         threads=1,
-        views=SimpleNamespace(pictures=lambda splats: [DARK]),
         ingest=SimpleNamespace(views=[]),
     )
     recorded = RigFrame(index, [picture], [])
-    return what_happened(context, scene, memory, PendingFrame(recorded, recorded, {}), Stopwatch())
+    return what_happened(context, PendingFrame(recorded, recorded, {}, scene, memory), Stopwatch())
 
 
 def scene_of(state: str) -> Any:

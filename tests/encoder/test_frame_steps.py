@@ -12,36 +12,38 @@ import pytest
 
 import decogs.encoder.frame.encode_frame as encode_frame
 import decogs.encoder.stream.encoder as stream_encoder
-from decogs.codec.corrections import Correction
-from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.state import ARRAYS, Attributes, State
-from decogs.decoder.hull import Hull
+from decogs.codec.packets.corrections import Correction
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.scene.lattice import default_lattice, quantise
+from decogs.codec.scene.state import ARRAYS, Attributes, State
+from decogs.decoder.subject.hull import Hull
 from decogs.encoder.change.masks import FrameMask, MaskMemory, PixelChange
 from decogs.encoder.coding.rate_control import RateControl
 from decogs.encoder.coding.scene import IDS_PER_SEGMENT, Scene
-from decogs.encoder.frame.commit import Outcome, commit
+from decogs.encoder.coding.time_control import TimeControl
+from decogs.encoder.frame.commit import next_memory
 from decogs.encoder.frame.encode_frame import Encoded, Task
-from decogs.encoder.frame.events import Event, Kind, PendingFrame
+from decogs.encoder.frame.events import Kind, PendingFrame
 from decogs.encoder.frame.memory import Memory, restart_at_segment
 from decogs.encoder.frame.next_segment import NextSegment
-from decogs.encoder.frame.plan import FramePlan, Selection, light_only, plan_frame
-from decogs.encoder.frame.segment_starts import SegmentStart
+from decogs.encoder.frame.plan import FramePlan, light_only, plan_frame
+from decogs.encoder.frame.segment_starts import SceneStart, SegmentStarts
 from decogs.encoder.frame.train import train_frame
 from decogs.encoder.input.compensation.colour import remove_gain
-from decogs.encoder.input.ingest import RigFrame
-from decogs.encoder.keyframe.backdrop.stage import PlainStage
-from decogs.encoder.keyframe.backdrop.subject import SubjectAlone
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.stream.encoder import StreamEncoder
 from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.training.method import TrainedFrame
+from decogs.encoder.training.schedule import UNKNOWN_PACE, Pace
 from decogs.encoder.training.warm_start import Motion
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats
+from decogs.formats.stream.container import PacketKind
+from decogs.rig.pictures.ingest import RigFrame
+from decogs.rig.stage.stage import PlainStage
+from decogs.rig.stage.subject import SubjectAlone
 
 Stub: Any = SimpleNamespace
 DRAFT = preset("draft")
@@ -61,19 +63,22 @@ def state_of(count: int, *moved: int) -> State:
 
 def memory_of(population: int = 3, **changes: Any) -> Memory:
     given: dict[str, Any] = {
-        "trainer": Stub(min_seconds=0.0),
+        "trainer": Stub(),
         "masks": MaskMemory.begin([PICTURE]),
         "motion": Motion(np.ones((population, 3), np.float32)),
         "corrections": None,
         "rate": None,
         "time": None,
+        "views": Stub(pictures=lambda splats: [PICTURE]),
     }
     return Memory(**(given | changes))
 
 
-def pending(index: int = 1, picture: np.ndarray = PICTURE, *, restarted: bool = False) -> PendingFrame:
+def pending(
+    index: int = 1, picture: np.ndarray = PICTURE, *, scene: Any = None, memory: Memory | None = None, **event: Any
+) -> PendingFrame:
     recorded = RigFrame(index, [picture], [])
-    return PendingFrame(recorded, recorded, {}, restarted)
+    return PendingFrame(recorded, recorded, {}, scene, memory or memory_of(), **event)
 
 
 # The plan
@@ -82,10 +87,9 @@ def pending(index: int = 1, picture: np.ndarray = PICTURE, *, restarted: bool = 
 def planned(
     settings: Any, memory: Memory, picture: np.ndarray, fade: Any = None, changes: Sequence[PixelChange] = ()
 ) -> FramePlan:
-    context = Stub(settings=settings, threads=1, views=Stub(pictures=lambda splats: [PICTURE]))
-    event = Event(Kind.CHANGE, Stub(splats=None), memory, changes)
-    selection = Selection([EVERYWHERE], np.ones(3, bool))
-    return plan_frame(context, event, selection, pending(picture=picture), fade, Stopwatch())
+    context = Stub(settings=settings, threads=1)
+    frame = pending(picture=picture, scene=Stub(splats=None), memory=memory, changes=changes)
+    return plan_frame(context, frame, [EVERYWHERE], np.ones(3, bool), fade, Stopwatch())
 
 
 def test_a_frame_that_light_alone_changes_is_trained_with_settings_of_its_own() -> None:
@@ -131,8 +135,8 @@ def test_what_light_alone_changes_goes_by_weight_whatever_selects(rule: str) -> 
     """Shares of .5, .05 and 0 of three Gaussians' weight, whose centres are all where things move."""
     weights = np.ones(3, np.float32), np.array([0.5, 0.05, 0], np.float32)
     view = Stub(redraw=lambda region: weights, centres=lambda: np.full((3, 2), 4, np.float32))
-    selection = Selection([EVERYWHERE] * 2, np.ones(3, bool))
-    found = light_only([view, view], selection, [EVERYWHERE.raw] * 2, SelectionSettings(rule=rule))
+    selected, moving = np.ones(3, bool), [EVERYWHERE.raw] * 2
+    found = light_only([view, view], [EVERYWHERE] * 2, selected, moving, SelectionSettings(rule=rule))
     np.testing.assert_array_equal(found, [False, True, True])
 
 
@@ -141,7 +145,7 @@ def test_what_light_alone_changes_goes_by_weight_whatever_selects(rule: str) -> 
 
 @pytest.mark.parametrize(
     ("diverges", "rounds", "rejected"),
-    [([False] * 4, 4, False), ([True], 1, True), ([False, True], 2, False)],
+    [([False] * 3, 3, False), ([True], 1, True), ([False, True], 2, False)],
 )
 def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], rounds: int, rejected: bool) -> None:
     """And the frame is rejected only if it was the first one: what others have changed stays."""
@@ -156,15 +160,15 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
         )
 
     context = Stub(
-        settings=replace(DRAFT, segment=3, closed=True, catch_up=4),
+        settings=replace(DRAFT, segment=3, closed=True),
         method=Stub(dense=True),
-        views=Stub(update=lambda *_: None),
         ingest=Stub(views=[]),
         stopping=lambda deadline: None,
     )
-    event = Event(Kind.EVERYTHING, scene(1), memory_of(trainer=trainer), [])
-    plan = FramePlan(Selection([], np.ones(3, bool)), ("motion",), DRAFT.frame)
-    against, trained = train_frame(context, event, plan, pending(3, restarted=True), Stopwatch())
+    memory = memory_of(trainer=trainer, views=Stub(update=lambda *_: None))
+    frame = pending(3, scene=scene(1), memory=memory, kind=Kind.EVERYTHING, restarted=True)
+    plan = FramePlan([], np.ones(3, bool), ("motion",), DRAFT.frame)
+    against, trained = train_frame(context, frame, plan, Stopwatch())
     assert (against.number, trained.rejected) == (rounds, rejected)  # type: ignore[attr-defined]
     assert next(left, None) is None
 
@@ -185,18 +189,21 @@ def test_a_fade_is_trained_with_the_frames_own_settings_and_chance(
     )
     context = Stub(
         settings=DRAFT,
-        views=Stub(of=lambda _: None, detach=lambda _: None),
         kernel=None,
         ingest=Stub(views=[Stub(pinhole=tiny_rig.camera(number)) for number in (0, 1)]),
         seed=5,
         on_loss=None,
     )
-    scene = Stub(header=Stub(first_frame=4), splats=empty_splats(0), after=lambda packet: packet)
-    event = Event(Kind.CHANGE, scene, memory_of(), [])
+    scene = Stub(
+        header=Stub(first_frame=4), splats=empty_splats(0), read=lambda packet: packet, after=lambda state: state
+    )
+    memory = memory_of(views=Stub(of=lambda _: None, detach=lambda _: None))
     still = replace(DRAFT.frame, rates=replace(DRAFT.frame.rates, means=0.0))
-    plan = FramePlan(Selection([], np.zeros(3, bool)), (), still)
+    plan = FramePlan([], np.zeros(3, bool), (), still)
     fade: Any = Stub(rows=np.arange(2))
-    _, packet, _ = encode_frame._train_and_code(context, event, plan, pending(7), fade, Stopwatch())
+    frame = pending(7, scene=scene, memory=memory)
+    faded = encode_frame._fade(context, frame, plan, scene, None, fade, Stopwatch())
+    _, packet = encode_frame._code(context, frame, plan, scene, faded, Stopwatch())
     assert packet == (3, "faded")
     assert given["settings"] is still
     assert given["seed"] == (5, 3)
@@ -227,19 +234,21 @@ def committed(
     truncated: bool = False,
     relit: bool = False,
     rejected: bool = False,
+    replayed: Any = None,
+    **budgets: Any,
 ) -> tuple[Memory, Masks]:
     masks: Any = Masks()
     states = ((state_of(3), "old"), (state_of(3, *([] if rejected else [1])), "new"))
     before, after = (Stub(state=state, splats=name) for state, name in states)
     after.displacements = lambda _: np.full((3, 3), 8, np.float32)
-    views = Stub(update=lambda *_: None, of=lambda _: None, pictures=lambda splats: f"pictures of {splats}")
-    context = Stub(settings=DRAFT, method=Stub(dense=False), views=views, corrector=None, threads=1)
-    everything = Selection([EVERYWHERE], np.ones(3, bool))
-    plan = FramePlan(everything, ("motion",), DRAFT.frame, relit=relit, deferred=deferred)
-    event = Event(Kind.CHANGE, before, memory_of(masks=masks), [])
-    trained = None if deferred else Stub(kept=np.arange(3), truncated=truncated, rejected=rejected)
-    memory, _ = commit(context, event, plan, pending(restarted=restarted), after, trained, Stopwatch())
-    return memory, masks
+    context = Stub(settings=DRAFT, corrector=None, threads=1)
+    plan = FramePlan([EVERYWHERE], np.ones(3, bool), ("motion",), DRAFT.frame, relit=relit, deferred=deferred)
+    memory = memory_of(masks=masks, views=Stub(pictures=lambda splats: f"pictures of {splats}"), **budgets)
+    trained = None if deferred else Stub(truncated=truncated, rejected=rejected, pace=Pace(least=0.5))
+    frame, watch = pending(scene=before, memory=memory, restarted=restarted, replayed=replayed), Stopwatch()
+    watch.seconds["training"] = 0.25
+    written: Any = Stub(packet=Stub(kind=PacketKind.DELTA, size=900))
+    return next_memory(context, frame, plan, after, trained, written, watch), masks
 
 
 def test_a_segments_first_frame_leaves_no_velocity() -> None:
@@ -254,6 +263,7 @@ def test_what_training_may_have_missed_is_compared_with_what_came_of_it(how: Any
     assert committed(**how)[1].given == {
         "moved": True,
         "rendered": rendered,
+        "relit": "relit" in how,
         "threads": 1,
         "deferred": False,
     }
@@ -269,20 +279,32 @@ def test_what_was_deferred_is_still_to_be_trained() -> None:
     assert memory.motion.deferred == 1
 
 
+def test_a_frame_is_paid_for_where_its_memory_is_made() -> None:
+    """Bytes, seconds and the pace of training. Of an earlier encode's seconds nothing is known."""
+    budgets = {"rate": RateControl(1000.0, 0), "time": TimeControl(1.0)}
+    for replayed in (None, state_of(3)):
+        memory, _ = committed(replayed=replayed, **budgets)
+        assert memory.rate == budgets["rate"].after(PacketKind.DELTA, 900)  # type: ignore[attr-defined]
+        assert memory.time is not None
+        assert (memory.time.saved, memory.time.pace.least) == ((0.75, 0.5) if replayed is None else (0.0, 0.0))
+    deferred, _ = committed(deferred=True, **budgets)
+    assert deferred.time is not None
+    assert (deferred.time.deferred, deferred.time.kept, deferred.time.pace) == (1, 0.75, UNKNOWN_PACE)
+
+
 # Replay, cuts
 
 
-def test_what_a_fade_changed_is_drawn_anew_in_a_replayed_frame() -> None:
+def test_what_a_fade_changed_is_drawn_anew_in_a_replayed_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside what the masks select."""
     detached: list[Any] = []
-    context = Stub(
-        settings=DRAFT,
-        method=Stub(dense=False),
-        views=Stub(of=lambda _: Stub(detach=lambda rows: detached.append(rows))),
-    )
-    before, after = (Stub(state=state, splats=empty_splats(0)) for state in (state_of(4), state_of(4, 2)))
-    plan = FramePlan(Selection([EVERYWHERE], np.arange(4) == 0), ("motion",), DRAFT.frame)
-    _, trained = encode_frame._replay(context, before, after, plan, Stub(kind=PacketKind.DELTA))
+    monkeypatch.setattr(encode_frame, "read_back", lambda *_: (None, None))
+    context, moved = Stub(settings=DRAFT, method=Stub(dense=False)), state_of(4, 2)
+    before = Stub(state=state_of(4), splats=empty_splats(0), header=None, after=lambda state: Stub(state=state))
+    memory = memory_of(views=Stub(of=lambda _: Stub(detach=lambda rows: detached.append(rows))))
+    plan = FramePlan([EVERYWHERE], np.arange(4) == 0, ("motion",), DRAFT.frame)
+    frame = pending(scene=before, memory=memory)
+    *_, trained = encode_frame._replay(context, frame, plan, Stub(kind=PacketKind.DELTA), moved)
     assert trained is not None
     for rows in (trained.kept, *detached):
         np.testing.assert_array_equal(rows, [0, 2])
@@ -298,10 +320,10 @@ def test_the_keyframe_of_a_cut_is_trained_on_matched_colours(monkeypatch: pytest
 
     monkeypatch.setattr(encode_frame, "train_keyframe", train)
     views = [Stub(camera=Stub(name="cam00"))]
-    context = Stub(views=Stub(release=lambda: None), ingest=Stub(views=views), settings=DRAFT)
-    event = Event(Kind.CUT, Stub(header=Stub(camera_colours={"cam00": colour})), memory_of(), [])
+    scene, memory = Stub(header=Stub(camera_colours={"cam00": colour})), memory_of(views=Stub(release=lambda: None))
+    frame, task = pending(3, scene=scene, memory=memory, kind=Kind.CUT), Task(RigFrame(3, [PICTURE], []))
     with pytest.raises(TrainingError):
-        encode_frame.encode_cut(context, event, Task(RigFrame(3, [PICTURE], [])))
+        encode_frame.encode_cut(Stub(ingest=Stub(views=views)), frame, task)
     np.testing.assert_array_equal(seen, [remove_gain(PICTURE, colour.odds_gain)])
 
 
@@ -310,7 +332,6 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     context = Stub(
         settings=settings,
         method=Stub(dense=True, trainer=lambda context: context),
-        views=[],
         ingest=Stub(views=[Stub(pinhole=tiny_rig.camera(number)) for number in (0, 1)]),
         kernel=None,
         seed=0,
@@ -319,16 +340,16 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     key = state_of(4)
     scene = Scene(Stub(lattice=default_lattice(1.0)), key, state_of(4, 1), empty_splats(0))
     corrections: Any = Stub(restart=lambda: "the first frame's")
-    packet: Any = Stub()
-    first = SegmentStart(key, packet, RigFrame(0, [PICTURE], []), corrections)
+    first = SceneStart(key, Stub(), RigFrame(0, [PICTURE], []), corrections, stage=Stub())
+    starts = SegmentStarts(context.ingest, settings.segment, first)
     flash: Any = Stub()
     memory = memory_of(
         masks=MaskMemory.begin([0.5 * PICTURE]),
         rate=RateControl(1000.0, 3).after(PacketKind.DELTA, 400),
         before_flash=flash,
-        first=first,
+        starts=starts,
     )
-    for given, frame in ((memory, 4), (replace(memory, first=None), 3)):
+    for given, frame in ((memory, 4), (replace(memory, starts=None), 3)):
         assert restart_at_segment(context, scene, given, frame, Stopwatch()) == (scene, given, False)
     again, fresh, is_start = restart_at_segment(context, scene, memory, 3, Stopwatch())
     assert is_start
@@ -338,7 +359,7 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     assert fresh.masks.references[0] is fresh.masks.previous[0] is PICTURE
     np.testing.assert_array_equal(fresh.motion.last, np.zeros((4, 3)))
     assert fresh.before_flash is None
-    assert fresh.first is first
+    assert (fresh.starts, fresh.stage) == (starts, first.stage)
 
 
 # The next segment
@@ -402,9 +423,8 @@ def test_a_segment_is_trained_once_for_all_that_go_over_to_it(
 
 def encoded_frame(**outcome: Any) -> Encoded:
     packet: Any = Stub(kind=PacketKind.KEY, frame=6, payload=b"")
-    selection = Selection([], np.ones(3, bool))
     scene: Any = Stub()
-    return Encoded(Stub(packet=packet), scene, memory_of(), Outcome(selection, **outcome), pending(6).recorded)
+    return Encoded(Stub(packet=packet), scene, memory_of(), pending(6).recorded, **outcome)
 
 
 @pytest.mark.parametrize("rejected", [True, False])
@@ -415,14 +435,5 @@ def test_a_start_that_was_trained_ahead_says_whether_it_diverged(
     monkeypatch.setattr(stream_encoder, "encode_frame", lambda *_: (given.append(_[-1]), encoded_frame())[1])
     encoder._next = segment_from(6, {}, first=encoded_frame(rejected=rejected))
     found: Any = encoder._encode_next(RigFrame(6, [], []), encoded_frame(), [])
-    assert found.outcome.rejected == rejected
+    assert found.rejected == rejected
     assert given[0].packet is encoder._next.first.written.packet  # type: ignore[union-attr]
-
-
-@pytest.mark.parametrize("deferred", [True, False])
-def test_the_time_control_knows_which_frames_were_deferred(encoder: StreamEncoder, deferred: bool) -> None:
-    noted: list[bool] = []
-    time: Any = Stub(record_time=lambda seconds, *, deferred=False: (noted.append(deferred), time)[1])
-    encoder._last = encoded_frame()
-    encoder._write(replace(encoded_frame(deferred=deferred), memory=memory_of(time=time)), Stopwatch())
-    assert noted == [deferred]

@@ -12,20 +12,22 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.bench.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.methods.decogs import DecogsTrainer
+from decogs.encoder.methods.decogs import DecogsTrainer, _probes
 from decogs.encoder.methods.paper import PaperTrainer
-from decogs.encoder.methods.threedgstream import BaselineConfig, BaselineTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings, SignificanceSettings
+from decogs.encoder.training import selective_densification
 from decogs.encoder.training.frame_training import FrameTraining
 from decogs.encoder.training.method import TrainedFrame, TrainingContext
-from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
+from decogs.encoder.training.schedule import MIN_STEPS, Pace, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, take_splats
 from one_frame import Case, NewTrainer, Trainer, bits, moved_square, train
 
+EAGER = pytest.mark.usefixtures("eager")
 SETTINGS = FrameSettings(joint_iterations=30, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0))
 CACHE = CacheConfig(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
 CACHED = partial(PaperTrainer, cache=CACHE, cache_iterations=30)
@@ -109,8 +111,9 @@ def test_the_cache_alone_moves_and_turns_and_touches_nothing_else(case: Case) ->
     assert error(case, applied(case.scene, frame)) < error(case, case.scene)
 
 
+@EAGER
 def test_results_depend_on_the_seed_and_not_on_threads(case: Case) -> None:
-    settings = replace(SETTINGS, grow_fraction=0.5, grow_gradient=0.0)
+    settings = replace(SETTINGS, grow_fraction=0.5)
     one, five, other = (case.train(settings, CACHED, **o) for o in ({"threads": 1}, {"threads": 5}, {"seed": 1}))
     assert len(one.added) > 0
     assert bits(one.values) + bits(one.added) == bits(five.values) + bits(five.added)
@@ -137,7 +140,13 @@ def test_on_a_stage_neighbours_move_more_alike(case: Case) -> None:
     assert differences(free=lambda means: np.zeros(len(means), bool)) < 0.8 * differences()
 
 
-GROWING = replace(SETTINGS, joint_iterations=0, grow_fraction=1.0, grow_gradient=0.0, prune_opacity=0.0)
+GROWING = replace(SETTINGS, joint_iterations=0, grow_fraction=1.0, prune_opacity=0.0)
+
+
+@pytest.fixture
+def eager(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every selected Gaussian is split or cloned."""
+    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 0.0)
 
 
 def grown(case: Case, *, everywhere: bool) -> TrainedFrame:
@@ -146,6 +155,7 @@ def grown(case: Case, *, everywhere: bool) -> TrainedFrame:
     return replace(case, scene=scene).train(GROWING, IDENTITY, everywhere=everywhere)
 
 
+@EAGER
 def test_halves_born_in_the_focus_lie_about_their_parents_old_place(case: Case) -> None:
     frame = grown(case, everywhere=True)
     assert len(frame.added) == len(frame.kept) == 25
@@ -155,12 +165,14 @@ def test_halves_born_in_the_focus_lie_about_their_parents_old_place(case: Case) 
     np.testing.assert_allclose(np.exp(frame.values.log_scales), 0.05 / 1.6, rtol=1e-5)
 
 
+@EAGER
 def test_a_new_gaussian_outside_every_focus_goes_back_to_its_parents_place(case: Case) -> None:
     frame = grown(case, everywhere=False)
     assert len(frame.added) == 25
     np.testing.assert_array_equal(frame.added.means, case.scene.means[frame.kept])
 
 
+@EAGER
 def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
     free, bound = grown(case, everywhere=True), grown(case, everywhere=False)
     masks = case.masks(everywhere=False)
@@ -191,10 +203,13 @@ def test_growth_goes_by_gradients_shortly_before_it(
     assert gathered == expected
 
 
-def test_growth_is_limited_by_gradient_and_share(case: Case) -> None:
+@EAGER
+def test_growth_is_limited_by_gradient_and_share(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(grown(case, everywhere=True).added) == 25
-    for limits, most in (({"grow_fraction": 0.2}, 5), ({"grow_fraction": 1e-3}, 1), ({"grow_gradient": 1e9}, 0)):
-        assert len(case.train(replace(GROWING, **limits), IDENTITY).added) == most
+    for share, most in ((0.2, 5), (1e-3, 1)):
+        assert len(case.train(replace(GROWING, grow_fraction=share), IDENTITY).added) == most
+    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 1e9)
+    assert not len(case.train(GROWING, IDENTITY).added)
 
 
 @pytest.mark.parametrize(("steps", "new"), [(30, CACHED), (0, IDENTITY)], ids=["cache", "nothing"])
@@ -279,15 +294,13 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
     assert steps([1 - picture for picture in shown], 0.0) == 30
 
 
-def test_errors_are_measured_in_four_views_where_time_is_short(case: Case) -> None:
+def test_errors_are_measured_in_four_views_where_time_is_short() -> None:
     """Each is drawn twice; else in every third view."""
-    trainer = case.trainer(SETTINGS)
-    assert isinstance(trainer, DecogsTrainer)
-    trainer._step_seconds = 1.0
     for seconds, views in ((20, 4), (60, 7)):
         stopping = StoppingRule(deadline=time.perf_counter() + seconds)
-        training: Any = SimpleNamespace(frame=SimpleNamespace(stopping=stopping), settings=SETTINGS, used=range(10, 30))
-        assert len(trainer._probes(training)) == views
+        frame = SimpleNamespace(stopping=stopping, pace=Pace(step=1.0))
+        training: Any = SimpleNamespace(frame=frame, settings=SETTINGS, used=range(10, 30))
+        assert len(_probes(training)) == views
 
 
 @pytest.mark.parametrize(("new", "cached"), [(CACHED, 30), (DecogsTrainer, 0)], ids=["cache", "direct"])

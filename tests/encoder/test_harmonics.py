@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.state import Attributes
+from decogs.codec.scene.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.keyframe import harmonics

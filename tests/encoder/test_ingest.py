@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.lens import Undistortion
-from decogs.encoder.input.ingest import Ingest, display_referred
+from decogs.decoder.cameras.lens import Undistortion
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
+from decogs.rig.pictures.ingest import Ingest, display_referred
 
 
 def read_png(path: Path) -> np.ndarray:

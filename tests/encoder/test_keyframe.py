@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise, quantise
+from decogs.codec.scene.lattice import dequantise, quantise
+from decogs.codec.scene.state import Attributes
 from decogs.encoder.backends import Drawable
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.optimiser import drawn_splats
 from decogs.encoder.backends.cpu.stretch import stretches
-from decogs.encoder.input.ingest import Ingest, View, scene_extent
+from decogs.encoder.backends.psnr import mean_psnr, psnr_of
 from decogs.encoder.keyframe import train as keyframe
 from decogs.encoder.keyframe.first_points import FirstPoints
 from decogs.encoder.keyframe.large_pictures import PictureFit, PictureScale
@@ -25,13 +26,13 @@ from decogs.encoder.keyframe.train import (
     splats_from_points,
     train_keyframe,
 )
-from decogs.encoder.psnr import mean_psnr, psnr_of
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.training.schedule import StoppingRule
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
+from decogs.rig.pictures.ingest import Ingest, View, scene_extent
 
 SHORT = KeyframeSettings(iterations=60, cap=500, sh_degree=1, grow_every=10, validation_every=20, settle_iterations=5)
 
@@ -362,10 +363,13 @@ def test_all_but_opacities_end_on_the_lattice_one_after_the_other(case: Case) ->
         assert made_up_for_others.any()
 
 
-def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(case: Case) -> None:
-    points, shiny = {}, replace(SHORT, rates=replace(SHORT.rates, sh_rest=0.02))
+def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points: dict[float, Attributes] = {}
+    monkeypatch.setattr(keyframe, "_RATES", replace(keyframe._RATES, sh_rest=0.02))
     for rd_lambda in (0.0, 10.0, 1e9):
-        result = trained(case, replace(shiny, rd_lambda=rd_lambda))
+        result = trained(case, replace(SHORT, rd_lambda=rd_lambda))
         points[rd_lambda] = quantise(result.splats, result.lattice)
         for name in ("quaternions", "sh"):
             on_lattice = dequantise(points[rd_lambda], result.lattice)

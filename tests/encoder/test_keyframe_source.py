@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise
+from decogs.codec.scene.lattice import dequantise
 from decogs.encoder.input.imported_keyframe import read_keyframe
-from decogs.formats.container import Packet, PacketKind, PacketReader
 from decogs.formats.errors import DecogsError, StreamError, UsageError
+from decogs.formats.stream.container import Packet, PacketKind, PacketReader
 
 
 def packets(path: Path) -> dict[int, Packet]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from decogs.decoder.resizing import resized
+from decogs.decoder.cameras.resizing import resized
 from decogs.encoder.keyframe.large_pictures import (
     PictureScale,
     fit_to_pictures,

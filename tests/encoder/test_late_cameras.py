@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.decoder.views import render_view
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.late_view import LateView
 from decogs.formats.rigs import open_rig

@@ -21,7 +21,7 @@ from urllib.request import urlopen
 import pytest
 
 from decogs.decoder import open_stream
-from decogs.decoder.following import follow_stream
+from decogs.decoder.reading.following import follow_stream
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.presets import PRESETS

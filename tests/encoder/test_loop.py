@@ -21,23 +21,23 @@ import pytest
 import decogs.encoder.stopwatch as stopwatch
 import decogs.encoder.stream.encoder as stream_encoder
 import decogs.encoder.stream.frame_report as frame_report
-from decogs.codec.corrections import Correction
-from decogs.codec.digest import digest
-from decogs.codec.lattice import dequantise
+from decogs.codec.packets.corrections import Correction
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import dequantise
 from decogs.decoder.commands import decode_main
-from decogs.decoder.frame import DecodedFrame
-from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.reading.frame import DecodedFrame
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.input.ingest import frame_span
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
-from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import TrainingError, UsageError
-from decogs.formats.kernels import INSTRUCTION_SETS, best_instruction_set
 from decogs.formats.rigs import open_rig
+from decogs.formats.stream.container import PacketKind, StreamWriter
+from decogs.formats.system.kernels import INSTRUCTION_SETS, best_instruction_set
+from decogs.rig.pictures.ingest import frame_span
 
 ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 

@@ -130,3 +130,17 @@ def test_emphasis_is_the_weight_of_a_pixel_in_focus_over_that_in_the_mean_of_the
     loss = focus_loss(TARGET, MASK, None, FocusWeights(dissimilarity=0.0, whole=0.2, focus=0.8, over=over))
     _, gradient = evaluated(loss)
     np.testing.assert_allclose(np.abs(gradient[:, MASK]) * IMAGE.size, loss.emphasis, rtol=1e-5)
+
+
+def test_white_asks_for_white_and_no_less() -> None:
+    """Nothing pulls a colour beyond white to a clipped pixel; what is recorded darker, or is drawn so, is pulled."""
+    target = np.full((3, HEIGHT, WIDTH), 0.5, np.float32)
+    target[:, :, 16:] = 253 / 255  # white, less noise
+    rendered = np.full_like(target, 1.5)
+    rendered[:, :, 48:] = 0.9
+    loss = whole_picture_loss(target, None, 0.0).with_clipped(rendered)
+    scales = {"l1_scale": loss.l1_scale, "ssim_scale": loss.ssim_scale}
+    _, gradient = CpuKernel(1).loss(rendered, loss.target, **scales)
+    assert (gradient[:, :, :16] > 0).all()
+    assert (gradient[:, :, 16:48] == 0).all()
+    assert (gradient[:, :, 48:] < 0).all()

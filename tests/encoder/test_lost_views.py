@@ -16,13 +16,13 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from decogs.bench.methods.threedgstream import BaselineTrainer
 from decogs.encoder import EncodeReport, MatteChoice, join
 from decogs.encoder.analysis.analyse import analyse
-from decogs.encoder.analysis.faults import DAMAGED, DROPPED, FROZEN
-from decogs.encoder.methods.threedgstream import BaselineTrainer
 from decogs.encoder.output.reports import FrameReport, left_out_warnings
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_rig
+from decogs.rig.check.faults import DAMAGED, DROPPED, FROZEN
 from encode_rig import encode_rig
 from packets import iterate_packets
 

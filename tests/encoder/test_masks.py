@@ -20,9 +20,9 @@ from decogs.encoder.change.masks import (
     full_masks,
     remove_specks,
 )
-from decogs.encoder.change.noise import frame_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.errors import UsageError
+from decogs.rig.pictures.noise import frame_noise
 
 RNG = np.random.default_rng(7)
 
@@ -302,6 +302,15 @@ def test_light_alone_is_remembered_for_one_frame() -> None:
         memory = memory.trained([FLAT], [mask], moved=moved)
         told.append(memory.light_only)
     assert told == [True, False, True]
+
+
+def test_a_light_that_steps_did_not_follow_is_remembered() -> None:
+    memory, mask = MaskMemory.begin([FLAT]), FrameMask(NOWHERE, NOWHERE)
+    told = []
+    for relit in (False, True, False):
+        memory = memory.trained([FLAT], [mask], moved=True, relit=relit)
+        told.append(memory.relit)
+    assert told == [False, True, True]
 
 
 @pytest.mark.parametrize("truncated", [True, False])

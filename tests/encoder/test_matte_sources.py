@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from decogs.encoder.input.mattes.chroma_key import _screen, _Tones
-from decogs.encoder.input.mattes.clean_plate import before_plate
+from decogs.rig.mattes.chroma_key import _screen, _Tones
+from decogs.rig.mattes.clean_plate import before_plate
 
 SHAPE = (60, 80)
 SUBJECT = (slice(15, 45), slice(20, 50))

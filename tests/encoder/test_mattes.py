@@ -16,11 +16,11 @@ import pytest
 from decogs.encoder import MatteChoice
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.commands import encode_main
-from decogs.encoder.input.ingest import Ingest, RigFrame
-from decogs.encoder.input.matte_checks import check_mattes
-from decogs.encoder.input.mattes import open_mattes
 from decogs.formats.errors import DecogsError, RigError, UsageError
 from decogs.formats.rigs import open_rig
+from decogs.rig.check.mattes import check_mattes
+from decogs.rig.mattes import open_mattes
+from decogs.rig.pictures.ingest import Ingest, RigFrame
 from stages.make import coded, light_on_backdrop, look, render, write_stage
 from stages.scenes import STAGES, cameras, stool
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from decogs.decoder import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import EncodeReport, FrameReport
 from decogs.encoder.commands import _held_out
 from decogs.encoder.output.progress import frame_line
-from decogs.formats.container import PacketKind, PacketReader
+from decogs.formats.stream.container import PacketKind, PacketReader
 from encode_rig import encode_rig
 
 HELD_OUT = ["cam02", "cam03"]

@@ -14,10 +14,10 @@ import pytest
 
 import decogs.encoder.stream.encoder as stream_encoder
 from decogs.encoder import EncodeSettings
-from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.memory_limit import encode_memory, memory_within
+from decogs.encoder.stream.memory_limit import encode_memory, memory_within
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
+from decogs.rig.pictures.ingest import Ingest
 from encode_rig import encode_rig
 
 PROGRAM = """

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from decogs.codec.digest import digest
-from decogs.decoder.stream import open_stream
+from decogs.codec.scene.digest import digest
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.change.selection import SELECTION_RULES
+from decogs.encoder.job.switches import ABLATIONS, Switches, ablate, with_method, with_selection, with_switches
 from decogs.encoder.methods import FRAME_METHODS
-from decogs.encoder.switches import ABLATIONS, Switches, ablate, with_method, with_selection, with_switches
 from decogs.formats.errors import UsageError
 
 

@@ -15,9 +15,9 @@ from canary.rigs import HELD_OUT, write_rig
 from decogs.encoder import EffectChoice
 from decogs.encoder.analysis import building
 from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.change.noise import frame_noise, picture_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.encoder.settings.presets import preset
+from decogs.rig.pictures.noise import frame_noise, picture_noise
 from encode_rig import encode_rig as encode
 
 RNG = np.random.default_rng(5)
@@ -137,6 +137,6 @@ def test_of_a_large_picture_a_part_tells_its_noise(deviation: float, monkeypatch
     before, now = recorded(scene, deviation), recorded(np.roll(scene, 3, axis=1), deviation)
     now[:, 96:] = recorded(scene[96:], deviation)
     part = frame_noise(now, before)
-    monkeypatch.setattr("decogs.encoder.change.noise._SAMPLE_COUNT", 10**9)
+    monkeypatch.setattr("decogs.rig.pictures.noise._SAMPLE_COUNT", 10**9)
     assert part == pytest.approx(frame_noise(now, before), rel=0.01)
     assert part == pytest.approx(deviation * math.sqrt(2), rel=0.1)

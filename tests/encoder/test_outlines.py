@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.input.mattes import outlines
-from decogs.encoder.input.mattes.chroma_key import key_axis, keyed
-from decogs.encoder.input.mattes.chroma_place import chroma_in_place
-from decogs.encoder.input.mattes.mattes import linear
+from decogs.rig.mattes import outlines
+from decogs.rig.mattes.chroma_key import key_axis, keyed
+from decogs.rig.mattes.chroma_siting import centred_chroma
+from decogs.rig.mattes.mattes import linear
 from stages.make import coded, light_on_backdrop, look, render
 from stages.scenes import STAGES, cameras, on_stage
 
@@ -89,8 +89,8 @@ def test_chroma_half_a_pixel_off_is_put_back() -> None:
     picture, matte = on_green()
     right, beside = (with_half_size_chroma(picture, stated=stated) for stated in (True, False))
     for untouched in (picture, right, np.full_like(picture, 90), linear(beside)):
-        assert chroma_in_place(untouched) is untouched
-    mended = chroma_in_place(beside)
+        assert centred_chroma(untouched) is untouched
+    mended = centred_chroma(beside)
     # Measured, in squared levels: 1.6 and 3.6, as both were resampled; IoU .966, .938, and .959 in place.
     assert np.square(mended - right.astype(float)).mean() < np.square(beside - right.astype(float)).mean() / 2
     assert iou(mended, matte) > iou(beside, matte) + 0.015
@@ -101,6 +101,6 @@ def test_outlines_follow_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     picture, matte = on_green()
     halved = with_half_size_chroma(picture, stated=True)
     fitted = [iou(each, matte) for each in (picture, halved)]
-    monkeypatch.setattr("decogs.encoder.input.mattes.cutting.fitted", lambda picture, guess, free: guess)
+    monkeypatch.setattr("decogs.rig.mattes.cutting.fitted", lambda picture, guess, free: guess)
     guessed = [iou(each, matte) for each in (picture, halved)]
     assert min(np.subtract(fitted, guessed)) > 0.001  # measured: .981 from .973, and .959 from .954

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 import decogs.encoder.output.stream_output as stream_output
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.keyframe.train import train_keyframe
-from decogs.formats.container import StreamWriter
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.outputs import GrowingFile
+from decogs.formats.files.outputs import GrowingFile
+from decogs.formats.stream.container import StreamWriter
 from encode_rig import encode_rig
 from packets import iterate_packets
 

@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import CorrectedCameras, Correction
-from decogs.codec.digest import digest
-from decogs.codec.keyframes import new_state
-from decogs.codec.lattice import default_lattice, dequantise, quantise
-from decogs.codec.syntax import refers_to_first
+from decogs.codec.packets.corrections import CorrectedCameras, Correction
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.packets.syntax import refers_to_first
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import default_lattice, dequantise, quantise
 from decogs.encoder.coding.packets import Written, frame_packet, key_packet, read_back
 from decogs.encoder.coding.scene import Scene
-from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
-from decogs.formats.container import PacketKind
 from decogs.formats.splats import Splats, empty_splats, take_splats
+from decogs.formats.stream.container import PacketKind
 
 COUNT = 400
 CORRECTED = CorrectedCameras(exposure_drift=("cam01",))
@@ -52,11 +51,8 @@ def trained(kept: np.ndarray = NOBODY, removed: np.ndarray = NOBODY, *, added: b
 
 
 def written(frame: int, change: TrainedFrame | None, **options: Any) -> Written:
-    settings = EncodeSettings(
-        segment=options.pop("segment", 0), zstd_level=options.pop("level", EncodeSettings().zstd_level)
-    )
     scene, corrections = options.pop("scene", SCENE), options.pop("corrections", DARK)
-    return frame_packet(scene, frame, change, SignificanceSettings(), corrections, settings, **options)
+    return frame_packet(scene, frame, change, SignificanceSettings(), corrections, **options)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +72,7 @@ def test_a_frame_is_a_delta_where_anything_changes_comes_or_goes(
 ) -> None:
     packet = written(1, change).packet
     assert packet.kind == kind
-    assert len(SCENE.after(packet).state) == gaussians
+    assert len(SCENE.read(packet)) == gaussians
 
 
 def test_a_segment_begins_with_a_keyframe_that_refers_to_the_first() -> None:
@@ -84,17 +80,11 @@ def test_a_segment_begins_with_a_keyframe_that_refers_to_the_first() -> None:
     for change in (None, trained(SOME)):
         kinds = [written(frame, change, segment=3).packet.kind == PacketKind.KEY for frame in range(1, 7)]
         assert kinds == [False, False, True, False, False, True]
-        delta = SCENE.after(written(1, change).packet).state
+        delta = SCENE.read(written(1, change).packet)
         for key in (written(3, change, segment=3), written(1, change, whole=True)):
             assert refers_to_first(replace(key.packet, start=CORRECTED.block_bytes))
             before = replace(SCENE, state=replace(SCENE.state, frame=key.packet.frame - 1))
-            assert digest(before.after(key.packet).state) == digest(replace(delta, frame=key.packet.frame))
-
-
-@pytest.mark.parametrize("options", [{}, {"whole": True}])
-def test_the_level_of_compression_is_the_settings(options: dict[str, Any]) -> None:
-    sizes = [written(1, trained(ALL), level=level, **options).packet.size for level in (1, 19)]
-    assert sizes[0] > sizes[1]
+            assert digest(before.read(key.packet)) == digest(replace(delta, frame=key.packet.frame))
 
 
 @pytest.mark.parametrize("change", [None, trained(SOME)], ids=["skip", "delta"])
@@ -103,7 +93,7 @@ def test_costs_are_all_of_a_payload_and_can_be_read_back(
     change: TrainedFrame | None, corrected: CorrectedCameras
 ) -> None:
     scene, corrections = scene_of(corrected), DARK if corrected.effects else {}
-    first = key_packet(scene.header, scene.state, corrections, 3)
+    first = key_packet(scene.header, scene.state, corrections)
     for each in (first, written(1, change, scene=scene, corrections=corrections)):
         assert sum(each.costs.values()) == len(each.packet.payload)
         assert each.costs.get("corrections", 0) == corrected.block_bytes

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from decogs.decoder import export
-from decogs.decoder.frame import DecodedFrame
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.frame import DecodedFrame
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import pack
 from decogs.encoder.commands import pack_main
 from decogs.encoder.input.row_matching import mutual_nearest
@@ -221,7 +221,8 @@ def test_a_signal_leaves_nothing_of_a_stream(tmp_path: Path, ended_by: signal.Si
     """The command waits in the midst of its second frame."""
     program = """
 import signal, sys, time
-from decogs.encoder import commands, packing
+from decogs.encoder import commands
+from decogs.encoder.packing import packing
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored by what runs under nohup
 signal.signal(signal.SIGINT, signal.default_int_handler)
 def wait(*arguments):

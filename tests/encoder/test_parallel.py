@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from decogs.encoder.parallel import ahead, side_by_side
+from decogs.rig.parallel import ahead, side_by_side
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])

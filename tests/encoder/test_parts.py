@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import Correction
-from decogs.codec.header import StreamHeader
-from decogs.decoder.exporting import export
-from decogs.decoder.stream import open_stream
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import Correction
+from decogs.decoder.exporting.exporting import export
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Switches, Targets, join
 from decogs.encoder.commands import encode_main, join_main
 from decogs.encoder.keyframe.train import train_keyframe
@@ -29,8 +29,8 @@ from decogs.encoder.parts.manifest import Part, made_with, part_frames, read_par
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.reading import read_settings
-from decogs.formats.container import FRAME_KINDS, MAX_FRAME, PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
+from decogs.formats.stream.container import FRAME_KINDS, MAX_FRAME, PacketKind, StreamWriter
 from encode_rig import encode_rig as encode
 from packets import iterate_packets
 
@@ -381,7 +381,7 @@ def test_codes_tell_whether_to_try_again(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as broken:
-        broken.setattr("decogs.formats.container.StreamWriter._append", full)
+        broken.setattr("decogs.formats.stream.container.StreamWriter._append", full)
         assert command(*part) == 75
         assert "No space left on device" in capsys.readouterr().err
     assert command(*part, "--seed", "1") == 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,15 +13,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
+from decogs.encoder.frame import encode_frame
 from decogs.encoder.input.compensation.matching import find_colours
-from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.keyframe import first_frame
-from decogs.encoder.keyframe.backdrop import stage as backdrop
-from decogs.encoder.keyframe.backdrop.plain import plain_pixels
-from decogs.encoder.keyframe.backdrop.stage import PlainRoom, PlainStage, Stage, find_stage
+from decogs.encoder.settings.presets import preset
 from decogs.formats.cameras import Camera, camera_centre, project
 from decogs.formats.rigs import open_rig
+from decogs.rig.pictures.ingest import Ingest, RigFrame, View
+from decogs.rig.stage import stage as backdrop
+from decogs.rig.stage.plain import plain_pixels
+from decogs.rig.stage.stage import PlainRoom, PlainStage, Stage, find_stage
 from encode_rig import encode_rig as encode
 from stages import scenes
 from stages.make import write_stage
@@ -139,6 +142,22 @@ def test_a_room_with_plain_walls_has_less_fog(floor: Path, tmp_path: Path, monke
     # 28.5 against 24.5 dB at this size; seeds differ by up to 2 without the walls.
     assert found.frames[0].held_out_psnr > without.frames[0].held_out_psnr + 2
     assert found.frames[0].bytes < without.frames[0].bytes
+
+
+def test_a_picture_is_searched_for_a_stage_once(grey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the memory of the first frame nor closed segments, which return to it, search again."""
+    searched: list[int] = []
+
+    def noted(views: Sequence[View], frame: RigFrame) -> Stage | None:
+        searched.append(frame.index)
+        return find_stage(views, frame)
+
+    for module in (first_frame, encode_frame):
+        monkeypatch.setattr(module, "find_stage", noted)
+    live = preset("live")
+    few = replace(live, closed=True, segment=1, keyframe=replace(live.keyframe, iterations=20))
+    encode(grey, tmp_path / "closed.dgs", few, holdout=[LEFT_OUT], effects="none")
+    assert searched == [0]
 
 
 def test_one_plain_wall_is_no_plain_room(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_a_pipe_gets_nothing_of_a_short_encode(frame_report: FrameReport) -> Non
 
 
 def test_a_pipe_gets_lines_of_keyframe_and_frames(frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("decogs.formats.progress._PAUSE", 0.0)
+    monkeypatch.setattr("decogs.formats.cli.progress._PAUSE", 0.0)
     pipe = io.StringIO()
     follow(TerminalProgress(pipe), frame_report)
     lines = pipe.getvalue().splitlines()
@@ -50,8 +50,8 @@ def test_a_pipe_gets_lines_of_keyframe_and_frames(frame_report: FrameReport, mon
 def test_of_a_recording_that_goes_on_nobody_knows_the_end(
     frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("decogs.formats.progress._PAUSE", 0.0)
-    monkeypatch.setattr("decogs.formats.progress._SECONDS", 0.0)
+    monkeypatch.setattr("decogs.formats.cli.progress._PAUSE", 0.0)
+    monkeypatch.setattr("decogs.formats.cli.progress._SECONDS", 0.0)
     pipe = io.StringIO()
     follow(TerminalProgress(pipe, endless=True), frame_report)
     assert pipe.getvalue().splitlines()[-1] == "frames: 2 frames, 0:00 elapsed"
@@ -60,7 +60,7 @@ def test_of_a_recording_that_goes_on_nobody_knows_the_end(
 def test_the_first_keyframe_is_none_of_the_frames_of_a_later_part(
     frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("decogs.formats.progress._PAUSE", 0.0)
+    monkeypatch.setattr("decogs.formats.cli.progress._PAUSE", 0.0)
     pipe = io.StringIO()
     with TerminalProgress(pipe) as progress:
         progress.started({"frames": [2, 4]})

@@ -12,20 +12,21 @@ import pytest
 
 import decogs.encoder.keyframe.train as keyframe
 import decogs.encoder.training.method as method
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import default_lattice, dequantise
-from decogs.codec.state import take_rows
-from decogs.decoder.stream import open_stream
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import default_lattice, dequantise
+from decogs.codec.scene.state import take_rows
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends.cpu.optimiser import CpuOptimiser
 from decogs.encoder.coding.changes import delta_of
-from decogs.encoder.frame.commit import commit
-from decogs.encoder.frame.events import Event, Kind
+from decogs.encoder.frame.commit import next_memory
+from decogs.encoder.frame.events import PendingFrame
 from decogs.encoder.frame.memory import Memory
-from decogs.encoder.frame.plan import FramePlan, Selection
+from decogs.encoder.frame.plan import FramePlan
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
+from decogs.encoder.training import selective_densification
 from decogs.encoder.training.method import FrameInput, TrainedFrame
 from decogs.encoder.training.seeding import _confirm, _Found
 from decogs.encoder.training.warm_start import Motion
@@ -46,7 +47,8 @@ def test_a_scene_grows_no_further_than_the_stream_allows(
 ) -> None:
     """STABILITY.md: clones and splits of later frames stop at 1.25 times the keyframe's Gaussians."""
     assert method.MAX_GROWTH == 1.25
-    frame = replace(tiny_settings.frame, emergence=EmergenceSettings(max_seeds=0), grow_gradient=0.0, grow_fraction=1.0)
+    frame = replace(tiny_settings.frame, emergence=EmergenceSettings(max_seeds=0), grow_fraction=1.0)
+    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 0.0)
     given = {"settings": replace(tiny_settings, frame=frame), "keyframe": moving.path}
     first = len(moving.states[0])
     assert max(map(len, encode(moving_rig, **given).states)) > 1.02 * first
@@ -135,24 +137,18 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
 
     masks: Any = SimpleNamespace(trained=trained, advance=lambda *_, **__: masks)
     stub: Any = SimpleNamespace
-    memory = Memory(stub(), masks, Motion.at_rest(len(state)), None, None, None)
+    memory = Memory(stub(), masks, Motion.at_rest(len(state)), None, None, None, stub())
     before: Any = stub(state=state, splats=None)
     after: Any = stub(
         state=replace(state, frame=1, sh=state.sh + 1) if changed else replace(state, frame=1),
         splats=None,
         displacements=lambda _: np.zeros((len(state), 3), np.float32),
     )
-    context = stub(
-        settings=preset("draft"),
-        method=stub(dense=False),
-        views=stub(update=lambda *_: None),
-        corrector=None,
-        threads=1,
-    )
-    plan = FramePlan(Selection([stub(dilated=None)], np.ones(3, bool)), effects, preset("draft").frame)  # type: ignore[list-item]
-    frame: Any = stub(pictures=[], restarted=False)
-    event = Event(Kind.CHANGE, before, memory, [])
-    commit(context, event, plan, frame, after, stub(kept=np.arange(3), truncated=False, rejected=False), Stopwatch())
+    context = stub(settings=preset("draft"), corrector=None, threads=1)
+    plan = FramePlan([stub(dilated=None)], np.ones(3, bool), effects, preset("draft").frame)
+    shown: Any = stub(training=[])
+    frame = PendingFrame(shown, shown, {}, before, memory)
+    next_memory(context, frame, plan, after, stub(truncated=False), stub(), Stopwatch())
     assert told == (["motion" in effects] if changed else [])
 
 

@@ -10,8 +10,8 @@ import rasterise_cases as cases
 from decogs.decoder.rasterise import render
 from decogs.encoder.backends import SplatGradients
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.formats.kernels import INSTRUCTION_SETS
 from decogs.formats.splats import Splats, empty_splats, join_splats
+from decogs.formats.system.kernels import INSTRUCTION_SETS
 from gradient_twin import FIELDS, compare_gradient, kernel_gradients, twin_gradients
 from instruction_sets import printed_on
 

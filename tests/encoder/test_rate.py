@@ -23,10 +23,10 @@ from decogs.encoder.coding.rate_control import (
     with_quality,
 )
 from decogs.encoder.commands import encode_main
+from decogs.encoder.job.switches import with_method
 from decogs.encoder.settings.frame import SignificanceSettings
-from decogs.encoder.switches import with_method
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
+from decogs.formats.stream.container import PacketKind
 from encode_rig import encode_rig
 from packets import iterate_packets
 

@@ -22,15 +22,15 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import Correction
-from decogs.codec.header import StreamHeader
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import Correction
 from decogs.encoder import Switches, Targets
-from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.stream.frame_report import FrameReporter
-from decogs.formats.container import FRAME_KINDS, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
+from decogs.formats.stream.container import FRAME_KINDS, StreamWriter
+from decogs.rig.pictures.ingest import RigFrame
 from encode_rig import encode_rig
 from packets import iterate_packets
 
@@ -264,20 +264,22 @@ def test_other_options_are_refused_and_nothing_is_touched(
     assert (tmp_path / "scene.dgs.part").read_bytes() == data
 
 
+@pytest.mark.parametrize("former", ["frame.cache_iterations", "keyframe.rates", "zstd_level", "cuts"])
 def test_settings_of_another_release_are_refused(
-    moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path
+    moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path, former: str
 ) -> None:
-    """Earlier commits wrote numbers of a method among the settings of frames."""
+    """What is a constant now was a setting in earlier commits."""
     with moving.path.open("rb") as file:
         header, *frames = list(iterate_packets(file))[:3]
     document = json.loads(header.payload)
-    document["settings"]["frame"] |= {"cache": None, "cache_iterations": 150}
+    group, name = former.rpartition(".")[::2]
+    (document["settings"][group] if group else document["settings"])[name] = 150
     earlier = io.BytesIO()
     stream = StreamWriter(earlier, json.dumps(document).encode())
     for packet in frames:
         stream.write(packet.kind, packet.frame, packet.payload)
     output = part(tmp_path, earlier.getvalue())
-    with pytest.raises(UsageError, match=r"was begun by another release of decogs: this one has no setting frame\.ca"):
+    with pytest.raises(UsageError, match=f"was begun by another release of decogs: this one has no setting {former}"):
         encode_rig(moving_rig, output, resume=True, settings=tiny_settings, holdout=["cam02"])
 
 
@@ -371,14 +373,15 @@ def test_other_footage_is_missed_by_more_than_the_first_frame_was(first: float, 
     picture = np.random.default_rng(1).uniform(0.2, 0.8, (3, 48, 64)).astype(np.float32)
     view = SimpleNamespace(camera=SimpleNamespace(name="cam01"), valid=None)
     context: Any = SimpleNamespace(
-        ingest=SimpleNamespace(views=[view]), threads=1, renderer=lambda off: lambda _: picture + np.float32(off)
+        ingest=SimpleNamespace(views=[view]), threads=1, renderer=lambda _, off: lambda _: picture + np.float32(off)
     )
     warnings: list[str] = []
     reporter = FrameReporter(context, warnings.append)
     for index, off in enumerate((first, later)):
         encoded: Any = SimpleNamespace(
             scene=SimpleNamespace(splats=off),
-            outcome=SimpleNamespace(selection=SimpleNamespace(masks=[])),
+            memory=SimpleNamespace(views=None),
+            masks=[],
             pictures=RigFrame(index, [picture], []),
         )
         reporter.check_footage(encoded, "`resume`: scene.dgs", Stopwatch())

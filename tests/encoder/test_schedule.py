@@ -202,8 +202,9 @@ def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:
 def test_searching_takes_its_share_on_average_and_begins_at_once(seconds: float) -> None:
     search, spent, when = SearchTime(), 0.0, []
     for frame in range(200):
-        if search.affordable_share(1.0, MIN_SEARCH_SHARE):
-            search.record_time(seconds, MIN_SEARCH_SHARE)
+        search = search.save(1.0, MIN_SEARCH_SHARE)
+        if search.affordable_share(MIN_SEARCH_SHARE):
+            search = search.spend(seconds, MIN_SEARCH_SHARE)
             spent += seconds
             when.append(frame)
     assert when[0] == 0
@@ -216,10 +217,11 @@ def test_a_search_is_as_large_as_there_is_time_for(left: float) -> None:
     """A whole one takes ten seconds: none may take what many frames have for their steps, the first included."""
     search, taken = SearchTime(), []
     for _ in range(100):
-        share = search.affordable_share(left, 10.0)
+        search = search.save(left, 10.0)
+        share = search.affordable_share(10.0)
         taken.append(10 * share)
         if share:
-            search.record_time(10 * share, share)
+            search = search.spend(10 * share, share)
     assert sum(taken) / (100 * left) == pytest.approx(0.1, rel=0.2)
     assert max(taken) <= max(left, 10 * MIN_SEARCH_SHARE) * 1.001
     assert taken[0] == pytest.approx(max(10 * MIN_SEARCH_SHARE, 0.1 * left))
@@ -236,11 +238,11 @@ def test_a_share_of_a_search_has_fewer_views_and_fewer_rays() -> None:
 
 
 def test_with_time_for_it_the_first_search_is_a_whole_one() -> None:
-    assert SearchTime().affordable_share(100.0, 10.0) == 1.0
+    assert SearchTime().save(100.0, 10.0).affordable_share(10.0) == 1.0
 
 
 def test_without_time_there_is_no_search() -> None:
-    assert not SearchTime().affordable_share(-1.0, 1.0)
+    assert not SearchTime().save(-1.0, 1.0).affordable_share(1.0)
 
 
 # The target

@@ -12,7 +12,7 @@ from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.change.selection import ViewEvidence, select, view_evidence
-from decogs.encoder.frame.plan import Selection, light_only
+from decogs.encoder.frame.plan import light_only
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats
@@ -126,8 +126,8 @@ def test_what_light_alone_changes_is_the_selected_away_from_what_moves(tiny_rig:
     shape = tiny_rig.height, tiny_rig.width
     everywhere, nowhere, left = np.ones(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
     left[:, : tiny_rig.width // 2] = True
-    both = Selection([FrameMask(everywhere, everywhere) for _ in views], np.ones(2, bool))
-    np.testing.assert_array_equal(light_only(views, both, [left] * 5, WEIGHT), [False, True])
-    np.testing.assert_array_equal(light_only(views, both, [nowhere] * 5, WEIGHT), [True, True])
-    only_moving = Selection(both.masks, np.array([True, False]))
-    assert not light_only(views, only_moving, [left] * 5, WEIGHT).any()
+    masks, both = [FrameMask(everywhere, everywhere) for _ in views], np.ones(2, bool)
+    np.testing.assert_array_equal(light_only(views, masks, both, [left] * 5, WEIGHT), [False, True])
+    np.testing.assert_array_equal(light_only(views, masks, both, [nowhere] * 5, WEIGHT), [True, True])
+    only_moving = np.array([True, False])
+    assert not light_only(views, masks, only_moving, [left] * 5, WEIGHT).any()

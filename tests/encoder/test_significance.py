@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import default_lattice, dequantise, quantise
-from decogs.codec.state import ARRAYS
+from decogs.codec.scene.lattice import default_lattice, dequantise, quantise
+from decogs.codec.scene.state import ARRAYS
 from decogs.encoder.backends import Optimiser, SplatGradients
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.coding.changes import quantise_changes

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise
+from decogs.codec.scene.lattice import dequantise
 from decogs.decoder import export
 from decogs.decoder.rasterise.reference import BLUR
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.input.imported_splats import is_splat_file, read_splat_source
 from decogs.encoder.keyframe.import_splats import MAX_ROUNDING_LOSS_DB, with_compensation
 from decogs.formats.cameras import Camera

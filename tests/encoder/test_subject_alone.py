@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from decogs.decoder.rasterise.native import render_planes
-from decogs.decoder.stream import open_stream
-from decogs.encoder.input.compositing import background_for, over
-from decogs.encoder.input.mattes import MatteChoice
+from decogs.decoder.reading.stream import open_stream
+from decogs.rig.mattes import MatteChoice
+from decogs.rig.pictures.compositing import background_for, over
 from encode_rig import encode_rig as encode
 from stages.make import write_stage
 from stages.scenes import cameras

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.synchronisation import AUTO, drift, find_starts, open_synchronised
-from decogs.encoder.synchronisation.commands import sync_main
-from decogs.encoder.synchronisation.joint import Joint
-from decogs.encoder.synchronisation.motion import starts_by_motion
-from decogs.encoder.synchronisation.sound import starts_by_sound
-from decogs.encoder.synchronisation.starts import frames_late, joined, known, whole_if_in_step
 from decogs.formats.cameras import Camera, project
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_recordings, open_rig
-from decogs.formats.soundtracks import RATE, Sound, read_sound
-from decogs.formats.timecodes import read_timecode
+from decogs.formats.sound.tracks import RATE, Sound, read_sound
+from decogs.formats.videos.timecodes import read_timecode
+from decogs.rig.synchronisation import AUTO, drift, find_starts, open_synchronised
+from decogs.rig.synchronisation.commands import sync_main
+from decogs.rig.synchronisation.joint import Joint
+from decogs.rig.synchronisation.motion import starts_by_motion
+from decogs.rig.synchronisation.sound import starts_by_sound
+from decogs.rig.synchronisation.starts import frames_late, is_reliable, joined, whole_if_in_step
 from videos_with_sound import claps, write_video
 
 WIDTH, HEIGHT, LENGTH = 96, 72, 32
@@ -162,8 +162,8 @@ def test_where_nothing_says_it_the_start_is_unknown(what: str) -> None:
         assert np.isnan(found).all()
     else:
         assert np.isnan(found[3])
-        known = [0, 1, 2, 4]
-        assert (found - found[1])[known].tolist() == [STARTS[row] for row in known]
+        is_reliable = [0, 1, 2, 4]
+        assert (found - found[1])[is_reliable].tolist() == [STARTS[row] for row in is_reliable]
 
 
 def test_pictures_of_one_instant_and_two_cameras_say_nothing(tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_timecode_goes_first_unless_an_editor_wrote_it(tmp_path: Path) -> None:
 
 def test_starts_that_pairs_contradict_or_that_may_be_a_frame_off_are_not_believed() -> None:
     found = Joint(np.zeros(4), np.array([0.2, 0.2, 0.7, np.nan]), np.array([0.8, 0.6, 1.0, 1.0]))
-    assert known(found).tolist() == [True, False, False, False]
+    assert is_reliable(found).tolist() == [True, False, False, False]
 
 
 def test_ways_are_tied_by_the_cameras_that_both_know() -> None:

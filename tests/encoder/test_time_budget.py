@@ -14,8 +14,9 @@ import pytest
 
 import decogs.encoder.methods.decogs as frame_training
 import decogs.encoder.training.schedule as schedule
-from decogs.codec.digest import digest
-from decogs.decoder.stream import open_stream
+from decogs.bench.methods.threedgstream import BaselineConfig
+from decogs.codec.scene.digest import digest
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.coding.scene import Scene
@@ -28,12 +29,11 @@ from decogs.encoder.coding.time_control import (
     with_time_budget,
 )
 from decogs.encoder.commands import encode_main
+from decogs.encoder.job.option_texts import seconds_per_frame
+from decogs.encoder.job.switches import with_method
 from decogs.encoder.methods.decogs import DecogsTrainer
-from decogs.encoder.methods.threedgstream import BaselineConfig
-from decogs.encoder.option_texts import seconds_per_frame
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.encoder.switches import with_method
 from decogs.encoder.training.schedule import MIN_STEPS
 from decogs.formats.errors import UsageError
 from encode_rig import encode_rig

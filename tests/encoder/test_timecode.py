@@ -12,14 +12,14 @@ import av
 import numpy as np
 import pytest
 
-from decogs.encoder.synchronisation import timecode as by_timecode
-from decogs.encoder.synchronisation.timecode import starts_by_timecode
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import Rig
 from decogs.formats.rigs.rig import recorded_rate
 from decogs.formats.rigs.timeline import Timeline
-from decogs.formats.timecodes import read_timecode, timecode_of
-from decogs.formats.videos import VideoSource
+from decogs.formats.videos.reading import VideoSource
+from decogs.formats.videos.timecodes import read_timecode, timecode_of
+from decogs.rig.synchronisation import timecode as by_timecode
+from decogs.rig.synchronisation.timecode import starts_by_timecode
 
 NTSC = 60000 / 1001
 DAY = 24 * 3600

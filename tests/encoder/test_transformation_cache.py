@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from decogs.encoder.methods.transformation_cache import CacheConfig, CacheWeights, TransformationCache
 from decogs.formats.errors import TrainingError, UsageError
-from decogs.formats.kernels import INSTRUCTION_SETS
+from decogs.formats.system.kernels import INSTRUCTION_SETS
 from instruction_sets import printed_on
 
 F32 = NDArray[np.float32]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 sys.path[:0] = [str(Path(__file__).parents[1])] * (str(Path(__file__).parents[1]) not in sys.path)
 
 from decogs.formats.cameras import Camera  # noqa: E402
-from decogs.formats.colour import linear_from_srgb, srgb_from_linear  # noqa: E402
+from decogs.formats.colours.srgb import linear_from_srgb, srgb_from_linear  # noqa: E402
 from decogs.formats.rigs import Rig, open_rig, read_frames  # noqa: E402
 
 U8 = NDArray[np.uint8]

@@ -10,8 +10,8 @@ import av
 import numpy as np
 import pytest
 
-from decogs.formats.video_colours import to_rgb
-from decogs.formats.videos import open_video
+from decogs.formats.colours.ycbcr import to_rgb
+from decogs.formats.videos.reading import open_video
 from textured_videos import long_video, texture
 
 

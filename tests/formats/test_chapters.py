@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.calibration.footage import open_footage
 from decogs.encoder.input.sound import sound_source
-from decogs.formats.chapters import ChapteredVideo, chapters_from, open_recording
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import in_step, open_recordings, open_rig
 from decogs.formats.rigs.opening import files_of
 from decogs.formats.rigs.sources import open_source
 from decogs.formats.rigs.timeline import RigTime
+from decogs.formats.videos.chapters import ChapteredVideo, chapters_from, open_recording
+from decogs.rig.calibration.footage import open_footage
 from videos_with_sound import write_video
 
 LENGTHS = 4, 3, 5

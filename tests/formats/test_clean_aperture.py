@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from decogs.formats.rigs import open_rig, read_frames
-from decogs.formats.videos import open_video
+from decogs.formats.videos.reading import open_video
 from rig_layouts import cameras, write_model
 from textured_videos import with_matrix, write
 

@@ -7,7 +7,7 @@ from io import BytesIO, TextIOWrapper
 
 import pytest
 
-from decogs.formats.command_line import Parser, path_or_pipe, print_text, warn_as
+from decogs.formats.cli.command_line import Parser, path_or_pipe, print_text, warn_as
 from decogs.formats.errors import UsageError
 
 

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from decogs.formats.container import (
+from decogs.formats.errors import StreamError
+from decogs.formats.stream.container import (
     PACKET_HEADER_SIZE,
     PACKET_OVERHEAD,
     PROLOGUE_SIZE,
@@ -27,8 +28,7 @@ from decogs.formats.container import (
     read_packet_at,
     scan_index,
 )
-from decogs.formats.errors import StreamError
-from decogs.formats.reasons import ALL_REASONS
+from decogs.formats.stream.reasons import ALL_REASONS
 from packets import iterate_packets
 
 FRAMES = [

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from decogs.formats import extras
+from decogs.formats.system import extras
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_names import is_numbered, names_of_frames
+from decogs.formats.frames.names import is_numbered, names_of_frames
 
 
 @pytest.mark.parametrize(

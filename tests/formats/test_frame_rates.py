@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import pytest
 
-from decogs.formats.frame_rates import exact_rate, is_same_rate, read_rate
+from decogs.formats.frames.rates import exact_rate, is_same_rate, read_rate
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.synchronisation.sync_file import read_starts
 from decogs.formats.errors import RigError
 from decogs.formats.mattes.per_frame import matte_rig
 from decogs.formats.rigs import Rig, in_step, open_recordings, open_rig, read_frames
 from decogs.formats.rigs.timeline import RigIndex
+from decogs.rig.synchronisation.sync_file import read_starts
 
 LENGTH = 9
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from decogs.formats.length_units import metres_of
+from decogs.formats.geometry.length_units import metres_of
 
 
 @pytest.mark.parametrize(

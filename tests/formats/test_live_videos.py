@@ -24,7 +24,7 @@ from decogs.formats.rigs import connections as connections_module
 from decogs.formats.rigs import dropped_in, open_live, read_frames
 from decogs.formats.rigs.feeds import DAMAGED, LACKING, OVERRUN
 from decogs.formats.rigs.sender_times import SharedClock, StampsOfSender
-from decogs.formats.videos import open_video
+from decogs.formats.videos.reading import open_video
 from rtsp_camera import RtspCamera, coded
 
 WIDTH, HEIGHT, FPS, MOMENTS = 64, 48, 20, 200
@@ -48,7 +48,7 @@ def write_sources(folder: Path, cameras: dict[str, str], **values: float) -> Pat
     """A calibration of these cameras, and the file of where they record."""
     names = {name: {"name": name, "file": f"still/{name}.png", "width": WIDTH, "height": HEIGHT} for name in cameras}
     more = {"fx": 60.0, "fy": 60.0, "cx": 32.0, "cy": 24.0, "distortion_model": "none"}
-    poses = {name: np.eye(4) + np.eye(4, k=3) * place for place, name in enumerate(names)}
+    poses = {name: np.eye(4) + np.eye(4, k=3) * locate for locate, name in enumerate(names)}
     (folder / "still").mkdir()
     for name in names:
         cv2.imwrite(str(folder / "still" / f"{name}.png"), picture(0))
@@ -226,7 +226,7 @@ def test_a_clock_that_runs_apart_is_followed_by_whole_frames() -> None:
         for number in range(FPS * 100):
             taken = 1e9 + number / FPS * 1.001
             arrived = taken + 0.01 * (number % 7)
-            placed = stamps.place(number / FPS, taken if reports else None, arrived)
+            placed = stamps.locate(number / FPS, taken if reports else None, arrived)
             if placed is not None:
                 apart.append(placed.frame(1e9, FPS) - (taken - 1e9) * FPS)
         assert max(map(abs, apart)) < 1.3
@@ -235,8 +235,8 @@ def test_a_clock_that_runs_apart_is_followed_by_whole_frames() -> None:
 
 def test_a_sender_that_begins_anew_is_placed_anew() -> None:
     stamps = StampsOfSender(FPS, reports=False)
-    before = [stamps.place(5000 + t / FPS, None, 1e9 + t / FPS) for t in range(FPS * 3)]
-    after = [stamps.place(t / FPS, None, 1e9 + 10 + t / FPS) for t in range(FPS * 3)]
+    before = [stamps.locate(5000 + t / FPS, None, 1e9 + t / FPS) for t in range(FPS * 3)]
+    after = [stamps.locate(t / FPS, None, 1e9 + 10 + t / FPS) for t in range(FPS * 3)]
     assert before[0] is None
     assert after[0] is None
     for last, at in ((before[-1], 0), (after[-1], 10)):

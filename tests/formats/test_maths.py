@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from decogs.formats.cameras import Camera, in_camera, in_picture, project, ray_slopes
-from decogs.formats.colour import linear_from_srgb, srgb_from_linear
-from decogs.formats.rotations import rotation_matrices
+from decogs.formats.colours.srgb import linear_from_srgb, srgb_from_linear
+from decogs.formats.geometry.rotations import rotation_matrices
 from decogs.formats.splats import logit, sigmoid
 
 

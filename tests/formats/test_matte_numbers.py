@@ -15,7 +15,7 @@ from decogs.formats.mattes.per_frame import matte_rig
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.sources import PictureSource
 from decogs.formats.rigs.timeline import CameraClock, RecordedIndex
-from decogs.formats.videos import VideoSource
+from decogs.formats.videos.reading import VideoSource
 
 MASKS = Path("masks/cam00")
 FROM_0, FROM_1 = range(10), range(1, 11)

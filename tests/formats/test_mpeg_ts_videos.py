@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from decogs.formats.errors import RigError
-from decogs.formats.videos import open_video
+from decogs.formats.videos.reading import open_video
 from textured_videos import X264, texture, write
 
 

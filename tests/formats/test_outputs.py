@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from decogs.formats.container import SIGNATURE
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import (
+from decogs.formats.files.outputs import (
     JSON,
     STREAM,
     GrowingFile,
@@ -23,6 +22,7 @@ from decogs.formats.outputs import (
     staged_files,
     write_whole,
 )
+from decogs.formats.stream.container import SIGNATURE
 
 
 def itself(path: Path) -> Path:

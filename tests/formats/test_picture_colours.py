@@ -14,9 +14,9 @@ import OpenEXR
 import pytest
 from PIL import Image, ImageCms
 
-from decogs.formats import colour_profiles
+from decogs.formats.colours import profiles as colour_profiles
 from decogs.formats.errors import RigError
-from decogs.formats.pictures import picture_facts, read_picture
+from decogs.formats.pictures.reading import picture_facts, read_picture
 
 PATCHES = np.array(
     [(200, 40, 40), (40, 180, 60), (50, 60, 210), (220, 200, 40), (30, 190, 200), (128, 128, 128), (20, 20, 20)],

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from decogs.formats.errors import RigError
-from decogs.formats.pictures import picture_facts, read_alpha, read_picture
+from decogs.formats.pictures.reading import picture_facts, read_alpha, read_picture
 
 RNG = np.random.default_rng(7)
 RGB = RNG.integers(0, 256, (12, 20, 3), dtype=np.uint8)

@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from decogs.formats import progress as progress_module
-from decogs.formats.command_line import progress
-from decogs.formats.progress import Lines
+from decogs.formats.cli import progress as progress_module
+from decogs.formats.cli.command_line import progress
+from decogs.formats.cli.progress import Lines
 
 SECONDS, PAUSE = progress_module._SECONDS, progress_module._PAUSE
 

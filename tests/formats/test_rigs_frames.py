@@ -13,7 +13,7 @@ import OpenEXR
 import pytest
 
 from decogs.formats.errors import RigError, UsageError
-from decogs.formats.pictures import Picture
+from decogs.formats.pictures.reading import Picture
 from decogs.formats.rigs import FrameSource, Rig, open_rig, read_frames, read_repeating
 from decogs.formats.rigs.sources import open_source
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from decogs.formats.errors import UsageError
-from decogs.formats.opus import BLOCK, OpusDecoder, OpusEncoder
-from decogs.formats.soundtracks import FULL_RATE, RATE, read_samples, read_sound, sound_channels
+from decogs.formats.sound.opus import BLOCK, OpusDecoder, OpusEncoder
+from decogs.formats.sound.tracks import FULL_RATE, RATE, read_samples, read_sound, sound_channels
 from videos_with_sound import write_video
 
 

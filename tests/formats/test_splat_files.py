@@ -21,8 +21,9 @@ import pytest
 import zstandard
 
 from decogs.formats.errors import UsageError
-from decogs.formats.rotations import rotation_matrices
-from decogs.formats.similarity import Similarity, transformed_splats
+from decogs.formats.geometry.rotations import rotation_matrices
+from decogs.formats.geometry.similarity import Similarity, transformed_splats
+from decogs.formats.geometry.up_direction import AXES, turn_between
 from decogs.formats.splat_files import Extremes, SplatFormat, splat_formats
 from decogs.formats.splat_files.glb import Glb
 from decogs.formats.splat_files.ply import Ply
@@ -30,7 +31,6 @@ from decogs.formats.splat_files.sog import Sog
 from decogs.formats.splat_files.splat import Splat
 from decogs.formats.splat_files.spz import Spz
 from decogs.formats.splats import Splats, empty_splats, take_splats
-from decogs.formats.up_direction import AXES, turn_between
 from random_splats import random_splats
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from decogs.formats import threads as threads_module
-from decogs.formats.threads import processor_count, thread_count
+from decogs.formats.system import threads as threads_module
+from decogs.formats.system.threads import processor_count, thread_count
 
 MANY = 64
 

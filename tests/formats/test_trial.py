@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from decogs.formats.errors import UsageError
-from decogs.formats.trial import try_apart
+from decogs.formats.files.trial import try_apart
 
 READERS = """
 import os, time
@@ -48,7 +48,7 @@ def test_what_ends_or_exceeds_it_is_one_line(
     reader: Callable[[str], Callable[..., object]], what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """512 MiB are beside the limit, and 600 are asked for."""
-    monkeypatch.setattr("decogs.formats.trial._SECONDS", 2)
+    monkeypatch.setattr("decogs.formats.files.trial._SECONDS", 2)
     begun = time.monotonic()
     with pytest.raises(UsageError, match=r"needs more than 1 MiB \(`max_memory`\) or 2 s to be read"):
         try_apart(reader(what), ODD, max_memory=1 << 20)

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 import rig_layouts as layouts
-from decogs.encoder.calibration.commands import calibrate_parser
-from decogs.encoder.calibration.footage import open_footage
-from decogs.encoder.calibration.given import given_lenses
 from decogs.encoder.commands import encode_parser
-from decogs.encoder.synchronisation.sync_file import read_starts
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
+from decogs.formats.files.unicode_forms import as_it_lies
 from decogs.formats.mattes import matte_rig, pictures_per_camera
 from decogs.formats.rigs import open_rig
-from decogs.formats.unicode_forms import as_it_lies
+from decogs.rig.calibration.commands import calibrate_parser
+from decogs.rig.calibration.footage import open_footage
+from decogs.rig.calibration.given import given_lenses
+from decogs.rig.synchronisation.sync_file import read_starts
 
 Form = Literal["NFC", "NFD"]
 OTHER: dict[Form, Form] = {"NFC": "NFD", "NFD": "NFC"}

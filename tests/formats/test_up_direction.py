@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from decogs.formats.cameras import Camera
-from decogs.formats.rotations import quaternion_of, rotation_rows
-from decogs.formats.up_direction import AXES, UPS, turn_between, up_of, up_text, up_vector
+from decogs.formats.geometry.rotations import quaternion_of, rotation_rows
+from decogs.formats.geometry.up_direction import AXES, UPS, turn_between, up_of, up_text, up_vector
 
 
 def looking(position: np.ndarray, at: np.ndarray, up: np.ndarray, roll: float = 0.0) -> Camera:

@@ -13,10 +13,10 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdValidation
 
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import UsageError
-from decogs.formats.similarity import Similarity
-from decogs.formats.up_direction import AXES, turn_between
-from decogs.formats.usd import UsdWriter
-from decogs.formats.usd_prims import UsdSplats, splat_extent
+from decogs.formats.geometry.similarity import Similarity
+from decogs.formats.geometry.up_direction import AXES, turn_between
+from decogs.formats.usd.prims import UsdSplats, splat_extent
+from decogs.formats.usd.writing import UsdWriter
 
 
 def some_splats(count: int, seed: int = 0) -> UsdSplats:
@@ -210,7 +210,7 @@ def test_camera_names_become_valid_and_unique_and_are_kept(tmp_path: Path) -> No
 
 
 def test_long_files_are_flushed_on_the_way_and_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("decogs.formats.usd._FLUSH_BYTES", 1)
+    monkeypatch.setattr("decogs.formats.usd.writing._FLUSH_BYTES", 1)
     frames = [some_splats(20, seed) for seed in range(6)]
     stage = write(tmp_path / "a.usdc", frames)
     positions = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/Splats")).GetPositionsAttr()
@@ -272,7 +272,7 @@ def test_crate_is_of_a_version_that_older_readers_open(tmp_path: Path) -> None:
 PROGRAM = """
 import os, signal, sys, threading, time
 from pathlib import Path
-from decogs.formats.usd import UsdWriter
+from decogs.formats.usd.writing import UsdWriter
 
 def ended(number, frame):
     raise SystemExit(7)

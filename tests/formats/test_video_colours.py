@@ -11,10 +11,10 @@ import av
 import numpy as np
 import pytest
 
+from decogs.formats.colours.ycbcr import HEEDS_SITING, YCbCr, chroma_siting, rgb_of
 from decogs.formats.errors import RigError
-from decogs.formats.kernels import INSTRUCTION_SETS
-from decogs.formats.video_colours import HEEDS_SITING, YCbCr, chroma_siting, rgb_of
-from decogs.formats.videos import open_video
+from decogs.formats.system.kernels import INSTRUCTION_SETS
+from decogs.formats.videos.reading import open_video
 from instruction_sets import printed_on
 
 WEIGHTS = {1: (0.2126, 0.0722), 5: (0.299, 0.114), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}

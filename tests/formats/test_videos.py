@@ -18,11 +18,11 @@ import av.filter
 import numpy as np
 import pytest
 
-from decogs.formats import videos
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import Rig, open_rig, read_frames
-from decogs.formats.videos import VideoSource, open_video
+from decogs.formats.videos import reading as videos
+from decogs.formats.videos.reading import VideoSource, open_video
 from textured_videos import X264, long_video, texture, with_matrix, write
 
 CODEC_TOLERANCE = 4

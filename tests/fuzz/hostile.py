@@ -22,20 +22,19 @@ from random import Random
 import numpy as np
 import zstandard
 
-from decogs.codec.corrections import CorrectedCameras, Correction, write_corrections
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.digest import digest
-from decogs.codec.entropy import BLOCK_HEADER_SIZE, coded_block
-from decogs.codec.frame_payload import split_payload
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state, new_state
-from decogs.codec.lattice import default_lattice
-from decogs.codec.presentation import Presentation
+from decogs.codec.coding.entropy import BLOCK_HEADER_SIZE, coded_block
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.presentation import Presentation
+from decogs.codec.packets.corrections import CorrectedCameras, Correction, write_corrections
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.frame_payload import split_payload
+from decogs.codec.packets.keyframes import keyframe_state, new_state
+from decogs.codec.packets.sound import SoundTrack
+from decogs.codec.packets.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.sound import SoundTrack
-from decogs.codec.state import Attributes, State, all_rows, take_rows
-from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
-from decogs.decoder.damage import Damage
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import default_lattice
+from decogs.codec.scene.state import Attributes, State, all_rows, take_rows
 from decogs.decoder.editing import (
     Box,
     Cameras,
@@ -54,13 +53,15 @@ from decogs.decoder.editing import (
     Trim,
     edit,
 )
-from decogs.decoder.following import follow_stream
-from decogs.decoder.frame import DecodedFrame
+from decogs.decoder.reading.damage import Damage
+from decogs.decoder.reading.following import follow_stream
+from decogs.decoder.reading.frame import DecodedFrame
+from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.sound.coding import coded
-from decogs.decoder.sound.samples import heard_in
-from decogs.decoder.stream import open_stream
+from decogs.decoder.sound.samples import mixed_sound
 from decogs.formats.cameras import Camera
-from decogs.formats.container import (
+from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.stream.container import (
     FRAME_KINDS,
     MAX_FRAME,
     Packet,
@@ -71,8 +72,7 @@ from decogs.formats.container import (
     read_index,
     scan_index,
 )
-from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.reasons import ALL_REASONS, Reason
+from decogs.formats.stream.reasons import ALL_REASONS, Reason
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from packets import iterate_packets
@@ -418,7 +418,7 @@ class FileTarget:
             if _frames_read(stream.frames(), strict, found) != stream.frame_count:
                 raise Misbehaved("frames are left out")
             if stream.header.sound:
-                _hear(heard_in(stream, range(min(stream.frame_count, _FRAMES_HEARD))))
+                _hear(mixed_sound(stream, range(min(stream.frame_count, _FRAMES_HEARD))))
 
     def _follow(self, data: bytes, strict: bool) -> None:
         found: list[Damage] = []

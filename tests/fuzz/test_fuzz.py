@@ -14,7 +14,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.formats.errors import StreamError
 from packets import iterate_packets
 

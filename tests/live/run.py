@@ -26,8 +26,8 @@ import cv2
 import numpy as np
 
 from decogs.encoder import EncodeJob, encode
-from decogs.formats.container import FRAME_KINDS, PacketReader
 from decogs.formats.rigs import open_rig, read_frames
+from decogs.formats.stream.container import FRAME_KINDS, PacketReader
 
 BIN = Path(sys.executable).parent
 EFFECTS = "motion,appearance_change,emergence,disappearance,view_dependence"

@@ -14,22 +14,22 @@ from typing import Any
 
 import numpy as np
 
-from decogs.codec.corrections import CorrectedCameras, Correction, write_corrections
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.presentation import Presentation
-from decogs.codec.sound import SoundTrack
-from decogs.codec.state import take_rows
-from decogs.codec.syntax import write_delta, write_key, write_skip
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.presentation import Presentation
+from decogs.codec.packets.corrections import CorrectedCameras, Correction, write_corrections
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.sound import SoundTrack
+from decogs.codec.packets.syntax import write_delta, write_key, write_skip
+from decogs.codec.scene.lattice import default_lattice, quantise
+from decogs.codec.scene.state import take_rows
 from decogs.decoder import open_stream
-from decogs.decoder.camera_moves import looked_at
+from decogs.decoder.cameras.moves import looked_at
 from decogs.decoder.commands import decode_main
 from decogs.formats.cameras import Camera, camera_centre, is_distorted
-from decogs.formats.container import PacketKind, StreamWriter
+from decogs.formats.geometry.up_direction import up_of
 from decogs.formats.splats import Splats
-from decogs.formats.up_direction import up_of
+from decogs.formats.stream.container import PacketKind, StreamWriter
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from sounding_streams import with_sound

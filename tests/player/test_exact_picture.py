@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from decogs.decoder import open_stream
-from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import Rendering
 from decogs.decoder.rasterise.native import render_planes
-from decogs.decoder.straight_alpha import straight_picture
+from decogs.decoder.rasterise.straight_alpha import straight_picture
 from decogs.formats.cameras import Camera, as_pinhole, scale_camera
 from decogs.formats.splats import Splats
 from node import run_player_tests

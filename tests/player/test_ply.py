@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from decogs.codec.presentation import Presentation
+from decogs.codec.header.presentation import Presentation
 from decogs.decoder.commands import export_main
 from node_player import missing_for_player, run_player_tests
 

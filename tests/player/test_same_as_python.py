@@ -17,18 +17,18 @@ import numpy as np
 import pytest
 
 from damaged_streams import WHERE
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, dequantise
-from decogs.codec.state import ARRAYS, Attributes
-from decogs.codec.syntax import write_delta, write_key, write_skip
-from decogs.decoder.frame import DecodedFrame
-from decogs.decoder.stream import Stream, open_stream
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key, write_skip
+from decogs.codec.scene.lattice import default_lattice, dequantise
+from decogs.codec.scene.state import ARRAYS, Attributes
+from decogs.decoder.reading.frame import DecodedFrame
+from decogs.decoder.reading.stream import Stream, open_stream
 from decogs.encoder import PRESETS
 from decogs.formats.cameras import Camera
-from decogs.formats.container import FRAME_KINDS, PacketKind, StreamWriter
 from decogs.formats.errors import StreamError
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind, StreamWriter
 from encode_rig import encode_rig as encode
 from node_player import missing_for_player, run_player_tests
 from packets import iterate_packets

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from decogs.decoder.camera_moves import looked_at
+from decogs.decoder.cameras.moves import looked_at
 from decogs.formats.cameras import Camera
-from decogs.formats.up_direction import up_of
+from decogs.formats.geometry.up_direction import up_of
 from node import PLAYER, run_player_tests
 
 CASES = json.loads((PLAYER / "tests/camera/up_cases.json").read_text())

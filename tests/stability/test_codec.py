@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.digest import digest
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import ARRAYS, Attributes, State, take_rows
-from decogs.codec.syntax import write_delta, write_key
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.lattice import Lattice, default_lattice, dequantise, quantise
+from decogs.codec.scene.state import ARRAYS, Attributes, State, take_rows
 from decogs.encoder.coding.changes import quantise_changes
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.cameras import Camera
-from decogs.formats.container import Packet, PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats
+from decogs.formats.stream.container import Packet, PacketKind
 
 INT32 = np.iinfo(np.int32)
 EXTREMES = np.array([INT32.min, INT32.min + 1, -1, 0, 1, INT32.max - 1, INT32.max], np.int32)

@@ -21,8 +21,8 @@ from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.formats.errors import UsageError
-from decogs.formats.kernels import best_instruction_set, kernel_path, load_kernel
 from decogs.formats.splats import take_splats
+from decogs.formats.system.kernels import best_instruction_set, kernel_path, load_kernel
 
 CASE = cases.CASES["17x13"]()
 SCENE, CAMERA = take_splats(CASE.splats, np.arange(6)), CASE.camera

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 import decogs.encoder.coding.scene as scene
+import decogs.encoder.frame.encode_frame as encode_frame
 import decogs.encoder.frame.plan as plan
-from decogs.codec.digest import digest
-from decogs.codec.state import ARRAYS, State
-from decogs.decoder.picture_output import to_8bit
+from decogs.codec.scene.digest import digest
+from decogs.codec.scene.state import ARRAYS, State
+from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import render
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.frame.context import Context
-from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.stream.run import encode_stream
@@ -28,6 +28,7 @@ from decogs.encoder.training.method import MAX_GROWTH
 from decogs.formats.cameras import scale_camera
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import join_splats
+from decogs.rig.pictures.ingest import Ingest
 
 FRAMES, PERIOD = 1000, 40
 
@@ -98,7 +99,8 @@ def long_encode(long_rig: Path, settings: Any, tmp_path_factory: pytest.TempPath
         seen.training_psnr.append(report.training_psnr)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(scene, "reconstruct", observed_reconstruct)
+        for module in (scene, encode_frame):  # later packets, the first one
+            patched.setattr(module, "reconstruct", observed_reconstruct)
         patched.setattr(plan, "select", observed_select)
         ingest = Ingest(open_rig(long_rig), holdout=["cam02"])
         context = Context.of(ingest, quick(settings), seed=0, threads=1)

@@ -18,22 +18,23 @@ import pytest
 
 import decogs.encoder.change.masks as masks_module
 import decogs.encoder.frame.events as events
-from decogs.codec.digest import digest
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.codec.scene.digest import digest
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.psnr import psnr_of
 from decogs.encoder.commands import encode_main
 from decogs.encoder.frame.context import Context
-from decogs.encoder.input.dropouts import BLACK, BLANK, FROZEN, blankness
-from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.psnr import psnr_of
+from decogs.encoder.keyframe import train as keyframe
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import DecogsError, RigError, TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.rig import Points
 from decogs.formats.splats import SH_C0
+from decogs.rig.pictures.dropouts import BLACK, BLANK, FROZEN, blankness
+from decogs.rig.pictures.ingest import Ingest
 from encode_rig import encode_rig
 
 TRAINING = ("cam00", "cam01", "cam03", "cam04")
@@ -457,12 +458,12 @@ def encode_main_with(chosen: Any, moving: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("factor", [100, 1e5])
 def test_a_keyframe_at_rates_a_hundredfold_stops_with_a_clear_line(
-    moving: Any, settings: Any, factor: float, tmp_path: Path
+    moving: Any, settings: Any, factor: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keyframe = replace(settings.keyframe, rates=settings.keyframe.rates.scaled(factor))
+    monkeypatch.setattr(keyframe, "_RATES", keyframe._RATES.scaled(factor))
     output = tmp_path / "scene.dgs"
     with pytest.raises(DecogsError, match=r"rates|diverged|extent") as raised:
-        encode_rig(moving[0], output, settings=replace(settings, keyframe=keyframe), holdout=["cam02"], threads=1)
+        encode_rig(moving[0], output, settings=settings, holdout=["cam02"], threads=1)
     assert "\n" not in str(raised.value)
     assert not output.exists()
 

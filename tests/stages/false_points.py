@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 sys.path[:0] = [str(Path(__file__).parents[1])] * (str(Path(__file__).parents[1]) not in sys.path)
 
-from decogs.decoder.hull import Hull, SubjectView, with_margin  # noqa: E402
-from decogs.encoder.input.ingest import Ingest, RigFrame  # noqa: E402
-from decogs.encoder.keyframe.backdrop.stage import Stage, find_stage  # noqa: E402
+from decogs.decoder.subject.hull import Hull, SubjectView, with_margin  # noqa: E402
 from decogs.encoder.keyframe.first_points import first_points  # noqa: E402
 from decogs.encoder.keyframe.large_pictures import fit_to_pictures  # noqa: E402
 from decogs.encoder.settings.presets import preset  # noqa: E402
 from decogs.formats.rigs import open_rig  # noqa: E402
+from decogs.rig.pictures.ingest import Ingest, RigFrame  # noqa: E402
+from decogs.rig.stage.stage import Stage, find_stage  # noqa: E402
 from stages import scenes  # noqa: E402
 from stages.make import GRID, first_met, look  # noqa: E402
 

@@ -21,9 +21,9 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / 
 
 from make import rig_document  # noqa: E402
 
-from decogs.encoder.synchronisation import find_starts  # noqa: E402
 from decogs.formats.cameras import Camera, camera_centre  # noqa: E402
 from decogs.formats.rigs import open_recordings, open_rig, read_frames  # noqa: E402
+from decogs.rig.synchronisation import find_starts  # noqa: E402
 from videos_with_sound import claps, write_video  # noqa: E402
 
 F64 = NDArray[np.float64]

@@ -6,8 +6,8 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from decogs.codec.sound import SLOWEST, SoundTrack
-from decogs.formats.command_line import Parser, number, vector, whole_number
+from decogs.codec.packets.sound import SLOWEST, SoundTrack
+from decogs.formats.cli.command_line import Parser, number, vector, whole_number
 from decogs.formats.errors import UsageError
 
 from ..sound import with_file
@@ -40,21 +40,21 @@ class Audio(Operation):
         if self.path is not None:
             take = self._added(take, self.path)
         tracks = list(take.header.sound)
-        place = len(tracks) - 1 if self.track is None else self.track
-        if not 0 <= place < len(tracks):
-            raise UsageError(f"audio: there is no track {max(place, 0)}; the stream has {len(tracks)}")
-        track = tracks[place]
+        index = len(tracks) - 1 if self.track is None else self.track
+        if not 0 <= index < len(tracks):
+            raise UsageError(f"audio: there is no track {max(index, 0)}; the stream has {len(tracks)}")
+        track = tracks[index]
         title = track.title if self.title is None else self.title
         position = None if self.nowhere else track.position
         if self.position is not None:
             x, y, z, _ = (take.header.presentation.similarity.inverse.matrix @ (*self.position, 1.0)).tolist()
             position = (x, y, z)
-        tracks[place] = replace(track, title=title, position=position)
-        told = f"audio: track {place}" + (f", {title}" if title else "")
+        tracks[index] = replace(track, title=title, position=position)
+        told = f"audio: track {index}" + (f", {title}" if title else "")
         return replace(take, header=replace(take.header, sound=tuple(tracks))).with_note(told)
 
     def _added(self, take: Take, path: Path) -> Take:
-        from decogs.formats.soundtracks import sound_channels, sound_title
+        from decogs.formats.sound.tracks import sound_channels, sound_title
 
         fps = take.header.fps
         if fps is None or fps < SLOWEST:
@@ -77,9 +77,9 @@ class Audio(Operation):
             "--track", type=whole_number, metavar="N", help="the track that is meant (default: the last)"
         )
         parser.add_argument("--title", metavar="TEXT", help="what it is")
-        place = parser.add_mutually_exclusive_group()
-        place.add_argument("--position", type=vector, metavar="X,Y,Z", help="the place that it is heard from")
-        place.add_argument("--nowhere", action="store_true", help="from no place; as it is")
+        index = parser.add_mutually_exclusive_group()
+        index.add_argument("--position", type=vector, metavar="X,Y,Z", help="the place that it is heard from")
+        index.add_argument("--nowhere", action="store_true", help="from no place; as it is")
 
     @classmethod
     def of_options(cls, options: argparse.Namespace) -> Audio:

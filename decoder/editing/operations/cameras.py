@@ -6,16 +6,16 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from decogs.codec.header import MAX_CAMERAS
+from decogs.codec.header.header import MAX_CAMERAS
 from decogs.formats.cameras import Camera
-from decogs.formats.command_line import Parser
+from decogs.formats.cli.command_line import Parser
 from decogs.formats.errors import UsageError
-from decogs.formats.length_units import metres_of
-from decogs.formats.similarity import transformed_camera
+from decogs.formats.geometry.length_units import metres_of
+from decogs.formats.geometry.similarity import transformed_camera
 
-from ...camera_files import camera_file, read_camera_file
-from ...camera_path import ToFilm
-from ...stream import in_its_world
+from ...cameras.files import camera_file, read_camera_file
+from ...cameras.path import ToFilm
+from ...reading.stream import in_its_world
 from ..cameras import check_names, renamed_corrections, with_cameras
 from ..take import Take
 from .base import Opener, Operation

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import LOG_SCALE_BOUND, dequantise
-from decogs.codec.state import Rows, State, part_of
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import LOG_SCALE_BOUND, dequantise
+from decogs.codec.scene.state import Rows, State, part_of
 from decogs.formats.cameras import project
-from decogs.formats.command_line import Parser, number, whole_number
+from decogs.formats.cli.command_line import Parser, number, whole_number
 from decogs.formats.errors import UsageError
-from decogs.formats.similarity import transformed_splats
+from decogs.formats.geometry.similarity import transformed_splats
 from decogs.formats.splats import SH_C0, Splats, sigmoid
 
-from ...stream import in_its_world
+from ...reading.stream import in_its_world
 from ..scene import positions
 from ..segments import rows_among, with_choices
 from ..take import Frame, Take
@@ -85,7 +85,7 @@ class Clean(Operation):
             for frame, ids in chosen(start, stop):
                 stays = _in_all(frame.state, ids)
                 if not lines:
-                    lines.append(_told(frame.state, ids, limits, stays))
+                    lines.append(_summary(frame.state, ids, limits, stays))
                     if self.picture is not None:
                         _write_picture(header, frame.state, stays, self.picture)
                 yield frame if stays.all() else frame.of(part_of(frame.state, stays))
@@ -119,16 +119,16 @@ class Clean(Operation):
 
 
 def _usual(take: Take, header: StreamHeader) -> dict[str, float]:
-    places = positions(header, next(take.read(0, 1)).state)
-    if not len(places):
+    points = positions(header, next(take.read(0, 1)).state)
+    if not len(points):
         raise UsageError("clean: the first frame has no Gaussian; give limits")
-    low, high = np.percentile(places, [2, 98], axis=0)
+    low, high = np.percentile(points, [2, 98], axis=0)
     return {"opacity": 0.01, "isolation": max(float((high - low).max()) / 50, 1e-9), "seen": 1}
 
 
 def _kept(header: StreamHeader, state: State, limits: dict[str, float]) -> dict[str, NDArray[np.bool_]]:
     """By limit, the Gaussians (N,) that keep to it in this frame."""
-    places, sizes = positions(header, state), _sizes(header, state)
+    points, sizes = positions(header, state), _sizes(header, state)
     kept: dict[str, NDArray[np.bool_]] = {}
     for name, limit in limits.items():
         if name == "opacity":
@@ -136,9 +136,9 @@ def _kept(header: StreamHeader, state: State, limits: dict[str, float]) -> dict[
         elif name == "size":
             kept[name] = sizes <= limit
         elif name == "isolation":
-            kept[name] = (_neighbours(places, limit) >= _NEIGHBOURS) | (sizes > limit)
+            kept[name] = (_neighbours(points, limit) >= _NEIGHBOURS) | (sizes > limit)
         else:
-            kept[name] = _views(header, places, sizes) >= limit
+            kept[name] = _views(header, points, sizes) >= limit
     return kept
 
 
@@ -148,11 +148,11 @@ def _sizes(header: StreamHeader, state: State) -> NDArray[np.float64]:
     return np.asarray(header.presentation.similarity.scale * np.exp(logs).max(axis=1, initial=0))
 
 
-def _neighbours(places: NDArray[np.float64], side: float) -> NDArray[np.int64]:
+def _neighbours(points: NDArray[np.float64], side: float) -> NDArray[np.int64]:
     """How many others are in the cell of each place (N, 3) and in the 26 around it."""
-    if not len(places):
+    if not len(points):
         return np.zeros(0, np.int64)
-    cells = np.clip((places - places.min(axis=0)) / side, 0, _CELLS - 2).astype(np.int64) + 1
+    cells = np.clip((points - points.min(axis=0)) / side, 0, _CELLS - 2).astype(np.int64) + 1
     weights = np.array([1, _CELLS + 1, (_CELLS + 1) ** 2])
     keys, which, counts = np.unique(cells @ weights, return_inverse=True, return_counts=True)
     around = np.zeros(len(keys), np.int64)
@@ -163,11 +163,11 @@ def _neighbours(places: NDArray[np.float64], side: float) -> NDArray[np.int64]:
     return np.asarray(around[which.reshape(-1)] - 1)
 
 
-def _views(header: StreamHeader, places: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[np.int64]:
+def _views(header: StreamHeader, points: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[np.int64]:
     """How many cameras have any of the Gaussians at each place (N, 3), of sizes (N,), in their picture."""
-    count = np.zeros(len(places), np.int64)
+    count = np.zeros(len(points), np.int64)
     for camera in header.cameras:
-        u, v, depth = project(camera, places)
+        u, v, depth = project(camera, points)
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = _REACH * sizes / np.maximum(depth, 0)
         across, down = _MARGIN * camera.width + camera.fx * reach, _MARGIN * camera.height + camera.fy * reach
@@ -185,7 +185,7 @@ def _in_all(state: State, ids: tuple[Rows, ...]) -> NDArray[np.bool_]:
     return np.asarray(np.logical_and.reduce([rows_among(state, each) for each in ids]))
 
 
-def _told(state: State, ids: tuple[Rows, ...], limits: dict[str, float], stays: NDArray[np.bool_]) -> str:
+def _summary(state: State, ids: tuple[Rows, ...], limits: dict[str, float], stays: NDArray[np.bool_]) -> str:
     """What goes of the first frame, and for which reasons."""
     reasons = [
         f"{len(state) - int(rows_among(state, each).sum())} by {name} ({limit:.3g})"
@@ -197,9 +197,9 @@ def _told(state: State, ids: tuple[Rows, ...], limits: dict[str, float], stays: 
 
 def _write_picture(header: StreamHeader, state: State, stays: NDArray[np.bool_], path: Path) -> None:
     """The scene dimmed and grey, what goes in red; small and thin ones as opaque as they must be to show."""
-    from ...picture_output import open_sink
-    from ...video_output import VideoSettings
-    from ...views import render_view
+    from ...output.pictures import open_sink
+    from ...output.video import VideoSettings
+    from ...rendering.views import render_view
 
     splats = transformed_splats(dequantise(state, header.lattice), header.presentation.similarity)
     view = header.presentation.first_view or header.cameras[0].name

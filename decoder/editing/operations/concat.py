@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.sound import SoundTrack
-from decogs.formats.command_line import Parser, counted
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.sound import SoundTrack
+from decogs.formats.cli.command_line import Parser, counted
 
 from ...sound.packets import FrameSound
 from ..matching import matched

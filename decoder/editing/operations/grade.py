@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import new_state
-from decogs.codec.state import State, all_rows
-from decogs.formats.command_line import Parser, colour, number
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.scene.state import State, all_rows
+from decogs.formats.cli.command_line import Parser, colour, number
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import SH_C0
 

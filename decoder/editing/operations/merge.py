@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from decogs.codec.corrections import Corrections
-from decogs.codec.keyframes import new_state
-from decogs.codec.state import State, all_rows, join_rows, same_scene, take_rows
-from decogs.formats.command_line import Parser, counted
+from decogs.codec.packets.corrections import Corrections
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.scene.state import State, all_rows, join_rows, same_scene, take_rows
+from decogs.formats.cli.command_line import Parser, counted
 
 from ...sound.packets import FrameSound
 from ..matching import matched

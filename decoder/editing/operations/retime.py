@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from decogs.codec.state import ARRAYS, State
-from decogs.formats.command_line import Parser, frame_rate, number, whole_number
+from decogs.codec.scene.state import ARRAYS, State
+from decogs.formats.cli.command_line import Parser, frame_rate, number, whole_number
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import frame_range
+from decogs.formats.frames.ranges import frame_range
 
 from ..segments import segment_of
 from ..sound import Played, played
@@ -56,7 +56,7 @@ class Retime(Operation):
         header = take.header if self.fps is None else replace(take.header, fps=self.fps)
         plays = self._plays(take.frame_count)
         shown = [frame for frame, _ in plays]
-        starts = tuple(place for place in range(len(shown)) if _begins(take, shown, place))
+        starts = tuple(k for k in range(len(shown)) if _begins(take, shown, k))
         retimed = replace(
             take,
             header=header,
@@ -134,21 +134,21 @@ class Retime(Operation):
         return [(frame, Played(play.end, play.begin)) for frame, play in reversed(plays)] if self.reverse else plays
 
 
-def _begins(take: Take, shown: Sequence[int], place: int) -> bool:
+def _begins(take: Take, shown: Sequence[int], k: int) -> bool:
     """Whether a segment begins with a new frame: its scene is of another one than that before it."""
-    return not place or segment_of(take, shown[place]) != segment_of(take, shown[place - 1])
+    return not k or segment_of(take, shown[k]) != segment_of(take, shown[k - 1])
 
 
 def _read(take: Take, shown: Sequence[int], start: int, stop: int) -> Iterator[Frame]:
-    place = start
-    while place < stop:
-        backwards = next((other < shown[place] for other in shown[place:stop] if other != shown[place]), False)
-        end = place + 1
+    k = start
+    while k < stop:
+        backwards = next((other < shown[k] for other in shown[k:stop] if other != shown[k]), False)
+        end = k + 1
         while end < stop and (shown[end] == shown[end - 1] or (shown[end] < shown[end - 1]) == backwards):
             end += 1
-        for frame in (_backwards if backwards else _forwards)(take, shown[place:end]):
-            yield replace(frame, is_key=_begins(take, shown, place))
-            place += 1
+        for frame in (_backwards if backwards else _forwards)(take, shown[k:end]):
+            yield replace(frame, is_key=_begins(take, shown, k))
+            k += 1
 
 
 def _forwards(take: Take, numbers: Sequence[int]) -> Iterator[Frame]:
@@ -163,13 +163,13 @@ def _forwards(take: Take, numbers: Sequence[int]) -> Iterator[Frame]:
 
 def _backwards(take: Take, numbers: Sequence[int]) -> Iterator[Frame]:
     """Frames whose numbers do not rise, a segment at a time."""
-    place = 0
-    while place < len(numbers):
-        segment = segment_of(take, numbers[place])
-        frames = _buffered(take, range(segment.start, numbers[place] + 1))
-        while place < len(numbers) and numbers[place] in segment:
-            yield frames[numbers[place] - segment.start]
-            place += 1
+    k = 0
+    while k < len(numbers):
+        segment = segment_of(take, numbers[k])
+        frames = _buffered(take, range(segment.start, numbers[k] + 1))
+        while k < len(numbers) and numbers[k] in segment:
+            yield frames[numbers[k] - segment.start]
+            k += 1
 
 
 def _buffered(take: Take, numbers: range) -> list[Frame]:

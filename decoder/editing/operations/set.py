@@ -6,7 +6,7 @@ import argparse
 from dataclasses import dataclass, replace
 from typing import Any
 
-from decogs.formats.command_line import Parser, colour, number, whole_number
+from decogs.formats.cli.command_line import Parser, colour, number, whole_number
 from decogs.formats.errors import UsageError
 
 from ..cameras import check_names

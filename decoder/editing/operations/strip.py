@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass, replace
 
-from decogs.formats.command_line import Parser
+from decogs.formats.cli.command_line import Parser
 from decogs.formats.errors import UsageError
 
 from ..cameras import renamed_corrections, with_cameras

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decogs.codec.presentation import MAX_SCALE, transform_of
-from decogs.formats.command_line import Parser, number, vector
+from decogs.codec.header.presentation import MAX_SCALE, transform_of
+from decogs.formats.cli.command_line import Parser, number, vector
 from decogs.formats.errors import UsageError
-from decogs.formats.similarity import Similarity
-from decogs.formats.up_direction import AXES, turn_between, up_of
+from decogs.formats.geometry.similarity import Similarity
+from decogs.formats.geometry.up_direction import AXES, turn_between, up_of
 
-from ...stream import in_its_world
+from ...reading.stream import in_its_world
 from ..take import Take
 from .base import Opener, Operation
 

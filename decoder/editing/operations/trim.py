@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass, replace
 
-from decogs.formats.command_line import Parser
+from decogs.formats.cli.command_line import Parser
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames, frame_range, frame_slice
+from decogs.formats.frames.ranges import Frames, frame_range, frame_slice
 
 from ..sound import from_frame
 from ..take import Take

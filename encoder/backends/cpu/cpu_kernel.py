@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from decogs.decoder.rasterise.native import NativePlanes, check_drawn, native_camera, native_scene
 from decogs.formats.cameras import Camera
-from decogs.formats.kernels import checked_handle
 from decogs.formats.splats import FloatArray, Splats
-from decogs.formats.threads import thread_count
+from decogs.formats.system.kernels import checked_handle
+from decogs.formats.system.threads import thread_count
 
 from ..arguments import check_cotangents
 from ..protocol import BLACK, Colour, Drawable, LossValue, SplatGradients

@@ -22,8 +22,8 @@ from decogs.decoder.rasterise.native import (
     native_scene,
 )
 from decogs.formats.cameras import Camera
-from decogs.formats.kernels import checked_handle
 from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.system.kernels import checked_handle
 
 from ..arguments import check_cotangents, check_marks, rows_of
 from ..protocol import Drawable, LossValue, SplatGradients

@@ -14,8 +14,8 @@ from decogs.decoder.rasterise.native import (
     NativePlanes,
     NativeScene,
 )
-from decogs.formats.kernels import check_memory, load_kernel
 from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.system.kernels import check_memory, load_kernel
 
 from ..protocol import ATTRIBUTES, SplatGradients
 

@@ -19,12 +19,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, CorrectedCameras, Correction, Corrections, whole_steps
+from decogs.codec.packets.corrections import (
+    ANGLE_STEP,
+    COLOUR_STEP,
+    CorrectedCameras,
+    Correction,
+    Corrections,
+    whole_steps,
+)
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
+from decogs.rig.pictures.ingest import View
 
 from ...settings.effects import CorrectionSettings
-from ..ingest import View
 from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
 from .benefit import Benefit, on_grid
 from .colour import LogitShift, logit_shift, remove_gain

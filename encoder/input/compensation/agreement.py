@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import in_picture, project, ray_slopes, turned
 from decogs.formats.splats import FloatArray, logit
+from decogs.rig.numerics import bilinear
+from decogs.rig.pictures.ingest import View
 
 from ...backends import RenderedPicture
-from ...numerics import bilinear
-from ..ingest import View
 from .colour import LogitShift, tukey_weights, unclipped
 
 F64 = NDArray[np.float64]

@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.camera_corrections import apply_gain
+from decogs.decoder.cameras.corrections import apply_gain
 from decogs.formats.splats import FloatArray, logit
-
-from ...numerics import tukey
+from decogs.rig.numerics import tukey
 
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
 

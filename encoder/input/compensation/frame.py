@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from decogs.codec.corrections import Corrections
+from decogs.codec.packets.corrections import Corrections
+from decogs.rig.pictures.ingest import RigFrame, View
 
 from ...stopwatch import Stopwatch
-from ..ingest import RigFrame, View
 from . import CorrectionMemory, Corrector, RenderView
 from .colour import remove_gain
 
@@ -39,6 +39,8 @@ def compensate(frame: RigFrame, corrector: Corrector | None, corrections: Correc
     return frame if corrector is None else replace(frame, training=corrector.undo(frame.training, corrections))
 
 
-def newly_dropped(before: CorrectionMemory, after: CorrectionMemory) -> list[str]:
+def newly_dropped(before: CorrectionMemory | None, after: CorrectionMemory | None) -> list[str]:
     """The corrections dropped from one frame to the next, such as "cam04: colours"."""
+    if before is None or after is None:
+        return []
     return [f"{name}: {kind}" for name, kind in sorted(after.dropped - before.dropped)]

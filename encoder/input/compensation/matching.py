@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.corrections import COLOUR_STEP, Correction, Corrections, whole_steps
+from decogs.codec.packets.corrections import COLOUR_STEP, Correction, Corrections, whole_steps
 from decogs.formats.cameras import project
 from decogs.formats.splats import FloatArray
+from decogs.rig.numerics import bilinear
+from decogs.rig.pictures.ingest import View
 
-from ...numerics import bilinear
-from ..ingest import View
 from .agreement import shifts_of_points
 
 _MIN_POINT_VIEWS = 3

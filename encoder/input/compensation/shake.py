@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.resizing import resized
+from decogs.decoder.cameras.resizing import resized
 from decogs.formats.cameras import Camera, ray_slopes, scale_camera
 from decogs.formats.splats import FloatArray
 

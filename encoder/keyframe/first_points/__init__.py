@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError
+from decogs.rig.numerics import floats
+from decogs.rig.parallel import Each, side_by_side
 
-from ...parallel import Each, side_by_side
 from .agreement import Candidates, agree, no_candidates
 from .cloud import (
     Cloud,
@@ -35,7 +36,7 @@ from .cloud import (
 from .frusta import DepthRange, choose_neighbours, depths_of, likely_points, points_within, rig_size, shared_depths
 from .guesses import guess_points
 from .plane_sweep import DepthMap, choose_planes, sweep
-from .views import Array, SweepView, floats, inside, make_view, project
+from .views import Array, SweepView, inside, make_view, project
 
 __all__ = ["FirstPoints", "KnownPoints", "first_points", "first_points_memory"]
 

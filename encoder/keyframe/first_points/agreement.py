@@ -13,8 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.rig.numerics import floats
+
 from .plane_sweep import DepthMap
-from .views import Array, SweepView, between, floats, inside, pixel_rays, project
+from .views import Array, SweepView, between, inside, pixel_rays, project
 
 _MAX_SHIFT_PIXELS = 1.0
 """Largest difference of equal depths, as a displacement in the other picture, in pixels."""
@@ -96,7 +98,7 @@ def _within(other: SweepView, u: Array, v: Array) -> NDArray[np.bool_]:
     return np.asarray((u >= 0) & (u <= other.width - 1) & (v >= 0) & (v <= other.height - 1))
 
 
-def _similarities(view: SweepView, others: Sequence[SweepView], places: Sequence[_Projection]) -> Array:
+def _similarities(view: SweepView, others: Sequence[SweepView], projections: Sequence[_Projection]) -> Array:
     """Correlation of windows of a view and of others around the same surface, (others, H, W); -1 where not seen.
 
     Windows without texture above noise in either view count as equal.
@@ -105,13 +107,13 @@ def _similarities(view: SweepView, others: Sequence[SweepView], places: Sequence
     mean = cv2.blur(view.centred, window)
     variance = cv2.blur(view.centred * view.centred, window) - mean * mean + _NOISE_VARIANCE
     scores = np.empty((len(others), view.height, view.width), np.float32)
-    for k, (other, place) in enumerate(zip(others, places, strict=True)):
-        warped = _sample(other.centred, place.u, place.v, 0.0)
+    for k, (other, projection) in enumerate(zip(others, projections, strict=True)):
+        warped = _sample(other.centred, projection.u, projection.v, 0.0)
         mean_there = cv2.blur(warped, window)
         variance_there = cv2.blur(warped * warped, window) - mean_there * mean_there + _NOISE_VARIANCE
         covariance = cv2.blur(view.centred * warped, window) - mean * mean_there + _NOISE_VARIANCE
         scores[k] = covariance / np.sqrt(np.maximum(variance * variance_there, _NOISE_VARIANCE**2))
-        scores[k][~_within(other, place.u, place.v)] = -1
+        scores[k][~_within(other, projection.u, projection.v)] = -1
     return scores
 
 
@@ -165,25 +167,25 @@ def agree(
     the consistent views.
     """
     view, own = views[index], depths.inverse_depth
-    places = [_project_surface(view, views[j], own) for j in neighbours]
+    projections = [_project_surface(view, views[j], own) for j in neighbours]
     total, count, through = own.copy(), np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
     usable = np.zeros(own.shape, np.int64)
-    for j, place in zip(neighbours, places, strict=True):
+    for j, projection in zip(neighbours, projections, strict=True):
         depths_j = maps[j]
         if depths_j is None:
             continue
-        usable += _within(views[j], place.u, place.v)
-        seen = _sample(depths_j.inverse_depth, place.u, place.v, 0.0)
-        valid = (seen > 0) & (place.depth > 0) & _within(views[j], place.u, place.v)
-        pixels = (place.depth * seen - 1) * (_sideways(view, views[j]) / np.maximum(place.depth, 1e-12))
+        usable += _within(views[j], projection.u, projection.v)
+        seen = _sample(depths_j.inverse_depth, projection.u, projection.v, 0.0)
+        valid = (seen > 0) & (projection.depth > 0) & _within(views[j], projection.u, projection.v)
+        pixels = (projection.depth * seen - 1) * (_sideways(view, views[j]) / np.maximum(projection.depth, 1e-12))
         same = valid & (np.abs(pixels) <= _MAX_SHIFT_PIXELS)
-        there = np.divide(1.0, seen, out=np.zeros_like(seen), where=same) - np.float32(place.shift)
+        there = np.divide(1.0, seen, out=np.zeros_like(seen), where=same) - np.float32(projection.shift)
         same &= there > 0
-        total += np.divide(place.base, there, out=np.zeros_like(seen), where=same)
+        total += np.divide(projection.base, there, out=np.zeros_like(seen), where=same)
         count += same
         through += valid & (pixels < -3 * _MAX_SHIFT_PIXELS)
     inverse_depth = total / (count + 1)
-    score = _better_half(_similarities(view, [views[j] for j in matched], places[: len(matched)]))
+    score = _better_half(_similarities(view, [views[j] for j in matched], projections[: len(matched)]))
     keep = (count >= np.where(usable >= 4, 2, 1)) & (score >= _MIN_TEXTURE_CORRELATION) & (through <= count)
     keep &= (inverse_depth > 1e-12) & ~_edges(own)
     keep &= (count >= 2) | ~_specks(keep, inverse_depth)

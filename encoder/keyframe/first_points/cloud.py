@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics import nearest
+from decogs.rig.numerics import nearest
+
 from .agreement import Candidates, depth_ratio
 from .frusta import DepthRange
 from .views import Array, SweepView, inside, project

@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...input.filling import push_pull
-from .views import Array, floats
+from decogs.rig.mattes.filling import push_pull
+from decogs.rig.numerics import floats
+
+from .views import Array
 
 F64 = NDArray[np.float64]
 

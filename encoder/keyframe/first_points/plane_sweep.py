@@ -13,8 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.rig.numerics import floats
+
 from .frusta import DepthRange, ray_grid
-from .views import Array, SweepView, between, floats, project
+from .views import Array, SweepView, between, project
 
 _MAX_DIFFERENCE = 1.5
 """Difference of normalised luminance from which on two pixels are just different."""

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, scale_camera
+from decogs.formats.colours.srgb import LUMA
+from decogs.rig.numerics import floats
 
 Array = NDArray[np.float32]
-_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 _WINDOW_SIGMA = 3.0
 """Standard deviation, in pixels, of the window in which brightness and contrast are normalised."""
 _MIN_CONTRAST = 0.012
@@ -60,7 +61,7 @@ def make_view(camera: Camera, picture: Array, scale: float) -> SweepView:
         camera = scale_camera(camera, scale)
         picture = floats(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA))
     picture = np.ascontiguousarray(picture)
-    luminance = floats(picture @ _LUMINANCE)
+    luminance = floats(picture @ LUMA.astype(np.float32))
     mean = cv2.GaussianBlur(luminance, (0, 0), _WINDOW_SIGMA)
     centred = luminance - mean
     contrast = np.sqrt(cv2.GaussianBlur(centred * centred, (0, 0), _WINDOW_SIGMA) + np.float32(_MIN_CONTRAST**2))
@@ -79,11 +80,6 @@ def make_view(camera: Camera, picture: Array, scale: float) -> SweepView:
         translation=translation,
         centre=-rotation.T @ translation,
     )
-
-
-def floats(picture: NDArray[np.generic]) -> Array:
-    """A picture as float32, without a copy if it is: OpenCV's stubs do not say what a function returns."""
-    return np.asarray(picture, np.float32)
 
 
 def pixel_rays(view: SweepView, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -43,7 +43,6 @@ class PaperTrainer:
         cache_iterations: int = CACHE_ITERATIONS,
     ) -> None:
         self.context, self.cache_iterations, self._loss = context, cache_iterations, loss
-        self.min_seconds = 0.0
         # Of frames that light alone changes: a cache would move what stands.
         self._still = DecogsTrainer(context, loss=loss)
         self._cache = TransformationCache(
@@ -73,5 +72,6 @@ class PaperTrainer:
         train_jointly(training, work, cache, schedule)
         trained = training.outcome(work, move_by_cache(work, cache), before, sample)
         if frame.stopping.deadline is not None:
-            self.min_seconds = seconds_at_least(time.perf_counter() - began, schedule)
+            least = seconds_at_least(time.perf_counter() - began, schedule)
+            trained = replace(trained, pace=replace(frame.pace, least=least))
         return trained if trained.rejected else replace(trained, truncated=schedule.is_truncated)

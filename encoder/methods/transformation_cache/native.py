@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.kernels import check_memory, checked_handle, load_kernel
 from decogs.formats.splats import FloatArray
+from decogs.formats.system.kernels import check_memory, checked_handle, load_kernel
 
 from ...backends.cpu.native import AdamStep
 from .weights import CacheConfig

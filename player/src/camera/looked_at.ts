@@ -1,4 +1,4 @@
-/** The point that a rig's cameras look at: what one orbits about (decoder/camera_moves.py has the same). */
+/** The point that a rig's cameras look at: what one orbits about (decoder/cameras/moves.py has the same). */
 import { applied, dot, length, minus, plus, solved, symmetricEigen, times, unit, type Matrix, type Vector } from "../geometry/vectors";
 import type { Pose } from "../geometry/poses";
 

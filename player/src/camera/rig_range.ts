@@ -39,17 +39,17 @@ export class RigRange {
     const aside = Math.abs(up[0]) < 0.9 ? ([1, 0, 0] as const) : ([0, 1, 0] as const);
     const right = unit(cross(up, aside));
     this.axes = [right, cross(up, right)];
-    const places = poses.map(({ centre }) => this.placeOf(centre));
-    const around = places.map((place) => place.around).sort((a, b) => a - b);
+    const positions = poses.map(({ centre }) => this.placeOf(centre));
+    const around = positions.map((position) => position.around).sort((a, b) => a - b);
     const gaps = around.map((angle, i) => (i > 0 ? angle - around[i - 1] : angle + 2 * Math.PI - around[around.length - 1]));
     const widest = gaps.reduce((most, gap) => Math.max(most, gap));
     const behindGap = gaps.indexOf(widest);
     this.allAround = widest < LARGEST_GAP;
     this.half = Math.PI - widest / 2;
     this.middle = around[behindGap] + this.half;
-    const climbs = places.map(({ climb }) => climb);
+    const climbs = positions.map(({ climb }) => climb);
     this.climbs = [Math.min(...climbs), Math.max(...climbs)];
-    const distances = places.map(({ distance }) => distance);
+    const distances = positions.map(({ distance }) => distance);
     this.distances = [NEAREST * Math.min(...distances), FARTHEST * Math.max(...distances)];
   }
 

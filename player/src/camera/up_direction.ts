@@ -1,5 +1,5 @@
 /**
- * Which way is up in a rig's world: the rule of formats/up_direction.py, where its reasons are. The same cases test both
+ * Which way is up in a rig's world: the rule of formats/geometry/up_direction.py, where its reasons are. The same cases test both
  * (tests/camera/up_cases.json).
  */
 import { dot, length, minus, symmetricEigen, times, unit, type Matrix, type Vector } from "../geometry/vectors";

@@ -67,8 +67,8 @@ export class StreamError extends Error {
 
   /** One sentence for people, with reason code and place. */
   get sentence(): string {
-    const place = this.offset === null ? "" : ` at byte ${this.offset}`;
-    return this.reason === null ? this.message : `${this.message} (${this.reason}${place})`;
+    const location = this.offset === null ? "" : ` at byte ${this.offset}`;
+    return this.reason === null ? this.message : `${this.message} (${this.reason}${location})`;
   }
 }
 

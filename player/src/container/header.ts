@@ -5,7 +5,7 @@ import { refuse } from "./errors";
 import { JsonNumber, parseJson, type JsonObject, type JsonValue } from "./json";
 import { MAX_CAMERAS, MAX_HEADER_BYTES, MAX_IMAGE_SIDE } from "./limits";
 import { readPresentation } from "./presentation";
-import { readSoundTracks } from "../sound/packets";
+import { readSoundTracks } from "./sound";
 
 const MAX_TEXT = 65_536;
 const MAX_LIST = 1024;
@@ -137,9 +137,9 @@ function readColours(value: JsonValue): CameraColours {
 }
 
 function checkCameras({ cameras, effects, heldOut }: StreamHeader): void {
-  const known = new Set(cameras.map((camera) => camera.name));
-  if (known.size < cameras.length) bad("two cameras have one name");
-  if (!heldOut.every((name) => known.has(name))) bad("held_out names an unknown camera");
+  const names = new Set(cameras.map((camera) => camera.name));
+  if (names.size < cameras.length) bad("two cameras have one name");
+  if (!heldOut.every((name) => names.has(name))) bad("held_out names an unknown camera");
   const coloured = cameras.filter((camera) => camera.colours !== null);
   if (coloured.some((camera) => heldOut.includes(camera.name))) bad("a held-out camera has colours");
   if (coloured.length > 0 !== effects.includes("colour_mismatch")) bad("colours and colour_mismatch disagree");
@@ -147,10 +147,10 @@ function checkCameras({ cameras, effects, heldOut }: StreamHeader): void {
 
 function readCorrected(members: JsonObject, effects: readonly string[]): Map<string, string[]> {
   const value = members.get("corrected");
-  const told = value === undefined ? new Map<string, JsonValue>() : object(value, "corrected");
+  const lists = value === undefined ? new Map<string, JsonValue>() : object(value, "corrected");
   const corrected = new Map<string, string[]>();
   for (const effect of CORRECTED_EFFECTS) {
-    const cameras = told.has(effect) ? names(told, effect) : [];
+    const cameras = lists.has(effect) ? names(lists, effect) : [];
     if (cameras.length > 0 !== effects.includes(effect)) bad(`corrected and effects disagree about ${effect}`);
     if (cameras.length > 0) corrected.set(effect, cameras);
   }
@@ -160,9 +160,9 @@ function readCorrected(members: JsonObject, effects: readonly string[]): Map<str
 function checkCorrected({ cameras, heldOut, corrected }: StreamHeader): void {
   const seen = new Set(cameras.map((camera) => camera.name));
   for (const name of heldOut) seen.delete(name);
-  for (const [effect, told] of corrected) {
-    if (new Set(told).size < told.length) bad(`corrected names a camera twice: ${effect}`);
-    if (!told.every((name) => seen.has(name))) bad(`corrected names a camera that training did not see: ${effect}`);
+  for (const [effect, names] of corrected) {
+    if (new Set(names).size < names.length) bad(`corrected names a camera twice: ${effect}`);
+    if (!names.every((name) => seen.has(name))) bad(`corrected names a camera that training did not see: ${effect}`);
   }
 }
 

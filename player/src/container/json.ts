@@ -134,17 +134,17 @@ class Parser {
   }
 
   private number(): JsonNumber {
-    const found = this.match(NUMBER) ?? bad(`the header is no JSON at character ${this.position}`);
-    const value = Number(found[0]);
+    const match = this.match(NUMBER) ?? bad(`the header is no JSON at character ${this.position}`);
+    const value = Number(match[0]);
     if (!Number.isFinite(value)) bad("the header has a number that is not finite");
-    return new JsonNumber(value, /^-?[0-9]+$/.test(found[0]));
+    return new JsonNumber(value, /^-?[0-9]+$/.test(match[0]));
   }
 
   private match(pattern: RegExp): RegExpExecArray | null {
     pattern.lastIndex = this.position;
-    const found = pattern.exec(this.text);
-    if (found) this.position = pattern.lastIndex;
-    return found;
+    const match = pattern.exec(this.text);
+    if (match) this.position = pattern.lastIndex;
+    return match;
   }
 
   private accept(word: string): boolean {

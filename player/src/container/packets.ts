@@ -84,9 +84,9 @@ export function checkSync(head: Uint8Array): void {
 }
 
 function checkCritical(kind: number, critical: number): void {
-  const known = kind >= KIND.HEADER && kind <= KIND.SOUND;
-  if (!known && critical) refuse("unknown-critical", `packets of kind ${kind} are not known and must not be ignored`);
-  if (known && critical !== Number(kind <= KIND.SKIP)) refuse("reserved-bits", "a packet's critical bit is wrong");
+  const defined = kind >= KIND.HEADER && kind <= KIND.SOUND;
+  if (!defined && critical) refuse("unknown-critical", `packets of kind ${kind} are not known and must not be ignored`);
+  if (defined && critical !== Number(kind <= KIND.SKIP)) refuse("reserved-bits", "a packet's critical bit is wrong");
 }
 
 /** The payload of a whole packet, its checksum verified. */

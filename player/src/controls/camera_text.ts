@@ -1,4 +1,4 @@
-/** A camera as text: a pose file for `decogs-decode --camera` (docs/free-cameras.md), and the end of a link. */
+/** A camera as text: a pose file for `decogs-decode --camera` (docs/cameras.md), and the end of a link. */
 import type { Lens, PinholeCamera } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
 import { cross, dot, length, unit, type Vector } from "../geometry/vectors";

@@ -13,7 +13,7 @@ export class Comparison {
   private wanted = "";
   /** Whose picture it is; that of another camera is not left over this one's view until its own has come. */
   private camera = "";
-  private there = false;
+  private loaded = false;
   /** Where the line is, as a share of the camera's picture; what was recorded lies left of it. */
   private share = 0.5;
 
@@ -52,13 +52,13 @@ export class Comparison {
   /** Brings it in step with the player's camera, frame and size. */
   refresh(): void {
     const { player, holder } = this;
-    const place = player.comparing ? player.recordedPlace() : null;
-    this.wanted = place === null ? "" : player.recordingAddress();
-    if (place !== null && player.camera !== this.camera) this.there = false;
-    this.picture.hidden = !this.there;
+    const area = player.comparing ? player.recordedPlace() : null;
+    this.wanted = area === null ? "" : player.recordingAddress();
+    if (area !== null && player.camera !== this.camera) this.loaded = false;
+    this.picture.hidden = !this.loaded;
     holder.hidden = this.wanted === "" || this.shown === "";
-    if (place === null || this.wanted === "") return;
-    const { left, top, width, height } = place;
+    if (area === null || this.wanted === "") return;
+    const { left, top, width, height } = area;
     Object.assign(this.picture.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
     this.picture.style.clipPath = `inset(0 ${100 * (1 - this.share)}% 0 0)`;
     Object.assign(this.line.style, { left: `${left + this.share * width}px`, top: `${top}px`, height: `${height}px` });
@@ -80,9 +80,9 @@ export class Comparison {
     this.picture.src = this.wanted;
   }
 
-  private arrived(there: boolean): void {
+  private arrived(loaded: boolean): void {
     this.loading = false;
-    this.there = there;
+    this.loaded = loaded;
     this.refresh();
   }
 }

@@ -1,14 +1,26 @@
 /** What keys do. The help panel is made from the same table, so that it cannot say anything else. */
 import type { PlayerApi } from "../player_api";
 import type { Vector } from "../geometry/vectors";
-import type { Panels } from "./panels";
+
+/** What keys may ask of the panels. */
+export interface KeyPanels {
+  mark(): void;
+  toggleStatistics(): void;
+  toggleHelp(): void;
+  toggleFullScreen(): Promise<void>;
+  savePicture(): Promise<void>;
+  /** Whether anything was open. */
+  closeAll(): boolean;
+  /** Whether the player filled the window. */
+  leaveFullWindow(): boolean;
+}
 
 interface KeyAction {
   readonly keys: readonly string[];
   readonly shown: string;
   readonly text: string;
   /** false: there was nothing to do, and the key is for others. */
-  readonly act: (player: PlayerApi, panels: Panels, event: KeyboardEvent) => unknown;
+  readonly act: (player: PlayerApi, panels: KeyPanels, event: KeyboardEvent) => unknown;
 }
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -97,7 +109,7 @@ const FLIGHT: ReadonlyMap<string, Vector> = new Map<string, Vector>([
 const held = new WeakMap<PlayerApi, Set<string>>();
 
 /** Does what a key asks for; whether it asked for anything. */
-export function looksInto(player: PlayerApi, panels: Panels, event: KeyboardEvent): boolean {
+export function looksInto(player: PlayerApi, panels: KeyPanels, event: KeyboardEvent): boolean {
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   if (FLIGHT.has(event.code)) return fly(player, event);
   if (event.type !== "keydown" || (inField(event) && event.key !== "Escape")) return false;

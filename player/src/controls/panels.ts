@@ -2,46 +2,36 @@
 import type { Overlay, PlayerApi } from "../player_api";
 import { ownMarkup } from "../trusted";
 import { adopt } from "../adopted_style";
-import { cameraToLink, poseFile } from "./camera_text";
+import { CameraChoice } from "./camera_choice";
 import { cameraNote } from "./camera_note";
 import type { CropTool } from "./crop";
 import { Comparison } from "./comparison";
 import { icon } from "./icons";
 import { playOrPause } from "./keys";
+import { Legend } from "./legend";
 import { markup } from "./markup";
+import { Notices } from "./notices";
+import { Sharing } from "./sharing";
 import style from "./style.css";
 import { Statistics } from "./statistics";
 import { Timeline } from "./timeline";
 import { timeText } from "./time_text";
-import { SoundControls } from "../sound/controls";
+import { SoundControls } from "./sound_controls";
 
 const IDLE_MS = 2600;
-const NOTICE_MS = 2600;
 const SPINNER_AFTER_MS = 250;
-const FREE = "";
-/** Pixels of the page: up to so many the bar is one row (style.css), and cameras are chosen in the menu. */
-const NARROW = 520;
-
-const LEGENDS: Readonly<Record<Overlay, string>> = {
-  none: "",
-  changes: legend(["now", "changed in this frame"], ["past", "up to 12 frames ago"], ["still", "unchanged"]),
-  motion: legend(["moving", "changed since the keyframe"], ["still", "never"]),
-};
-
-function legend(...rows: readonly (readonly [string, string])[]): string {
-  return rows.map(([colour, text]) => `<span><i class="${colour}"></i>${text}</span>`).join("");
-}
 
 export class Panels {
   private readonly timeline: Timeline;
   private readonly statistics: Statistics;
   private readonly comparison: Comparison;
   private readonly sound: SoundControls;
+  private readonly cameras: CameraChoice;
+  private readonly legend: Legend;
+  private readonly notices: Notices;
+  private readonly sharing: Sharing;
   private readonly closers: readonly HTMLElement[];
   private refreshing = false;
-  private camerasOf: unknown = null;
-  private warning: string | null = null;
-  private noticeTimer = 0;
   private idleTimer = 0;
   private loadingTimer = 0;
   private shownBusy = false;
@@ -51,7 +41,6 @@ export class Panels {
   private crop: CropTool | null = null;
   /** What had the focus before a panel was opened. */
   private opener: HTMLElement;
-  private legendOf: Overlay = "none";
 
   constructor(
     private readonly player: PlayerApi,
@@ -67,6 +56,10 @@ export class Panels {
     this.statistics = new Statistics(player, this.part(".figures"));
     this.comparison = new Comparison(player, this.part(".recording"), this.part(".divider"));
     this.sound = new SoundControls(player, this.part(".sound"));
+    this.cameras = new CameraChoice(player, this.part(".cameras"), this.field("menu"), this.part(".menu"));
+    this.legend = new Legend(player, this.part(".legend"));
+    this.notices = new Notices(this.part(".notice"));
+    this.sharing = new Sharing(player, this.notices);
     this.closers = [this.part(".menu"), this.part(".help")];
     this.listen();
   }
@@ -100,18 +93,16 @@ export class Panels {
     else show();
   }
 
-  /** Says what is wrong for as long as it is; null when nothing is. */
-  warn(text: string | null): void {
-    if (text === this.warning) return;
-    this.warning = text;
-    this.say(text ?? "", text !== null);
-  }
-
   /** Says, for a moment, what the picture of the camera that is looked through leaves out. */
   tellCamera(): void {
     const { header, camera } = this.player;
     const note = header === null || this.player.recorded ? null : cameraNote(header, camera);
-    if (note !== null && this.warning === null) this.say(note, false);
+    if (note !== null) this.hint(note);
+  }
+
+  /** Says what is wrong for as long as it is; null when nothing is. */
+  warn(text: string | null): void {
+    this.notices.warn(text);
   }
 
   /** Tells people once that the picture is theirs to turn. */
@@ -123,7 +114,7 @@ export class Panels {
 
   /** Says something for a moment, unless something is wrong. */
   hint(text: string): void {
-    if (this.warning === null) this.say(text, false);
+    this.notices.hint(text);
   }
 
   toggleHelp(): void {
@@ -198,26 +189,7 @@ export class Panels {
   }
 
   async savePicture(): Promise<void> {
-    await this.save(this.player.capture(), `${this.player.camera || "view"}_${this.frameText()}.png`);
-  }
-
-  /** Gives what is made, once it is, to whoever looks at the page, as a file. */
-  private async save(made: Promise<Blob>, name: string): Promise<void> {
-    try {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(await made);
-      link.download = name;
-      link.click();
-      setTimeout(() => {
-        URL.revokeObjectURL(link.href);
-      }, 10_000);
-    } catch (error) {
-      this.say(error instanceof Error ? error.message : String(error), false);
-    }
-  }
-
-  private frameText(): string {
-    return String(this.player.info?.frame ?? 0).padStart(4, "0");
+    await this.sharing.savePicture();
   }
 
   private listen(): void {
@@ -245,11 +217,11 @@ export class Panels {
         void this.toggleFullScreen();
       },
       picture: () => void this.savePicture(),
-      ply: () => void this.save(this.player.ply(), `frame_${this.frameText()}.ply`),
+      ply: () => void this.sharing.savePly(),
       crop: () => void this.startCrop(),
-      pose: () => void this.copyPose(),
-      link: () => void this.copyLink(),
-      embed: () => void this.copyEmbed(),
+      pose: () => void this.sharing.copyPose(),
+      link: () => void this.sharing.copyLink(),
+      embed: () => void this.sharing.copyEmbed(),
       vr: () => void this.enterXr("immersive-vr"),
       ar: () => void this.enterXr("immersive-ar"),
       help: () => {
@@ -262,10 +234,6 @@ export class Panels {
         act();
       });
     }
-    this.select("camera").addEventListener("change", ({ target }) => {
-      const { value } = target as HTMLSelectElement;
-      if (value !== FREE) player.lookThrough(Number(value));
-    });
     this.select("overlay").addEventListener("change", ({ target }) => {
       player.overlay = (target as HTMLSelectElement).value as Overlay;
     });
@@ -310,7 +278,7 @@ export class Panels {
     const { classList } = this.root.host;
     if (player.paused === classList.contains("playing")) this.awake(); // the bar goes by itself, whoever plays
     classList.toggle("playing", !player.paused);
-    this.arrange();
+    this.cameras.refresh();
     const [button, text] = player.paused ? (player.ended ? ["replay", "Play again"] : ["play", "Play"]) : ["pause", "Pause"];
     const play = this.part(".play");
     if (play.getAttribute("aria-label") !== text) {
@@ -320,7 +288,6 @@ export class Panels {
     this.part(".start").hidden = player.controls || !player.paused || (player.info === null && player.preload !== "none");
     this.part(".now-at").textContent = player.header === null ? "" : timeText(player.currentTime);
     this.part(".of").textContent = player.header === null ? "" : ` / ${timeText(player.duration)}`;
-    this.updateCameras();
     this.select("overlay").value = player.overlay;
     choose(this.select("rate"), player.playbackRate, `${player.playbackRate} ×`);
     choose(this.select("quality"), player.quality, `${Math.round(100 * player.quality)} %`);
@@ -333,67 +300,16 @@ export class Panels {
     this.comparison.refresh();
     this.input("figures").checked = !this.part(".figures").hidden;
     this.field("menu").setAttribute("aria-expanded", String(!this.part(".menu").hidden));
-    this.updateLegend();
+    this.legend.refresh();
     this.timeline.refresh();
     this.sound.refresh();
-  }
-
-  private arrange(): void {
-    const [cameras, bar] = [this.part(".cameras"), this.part(".row")];
-    const narrow = this.player.clientWidth <= NARROW;
-    if (narrow === !bar.contains(cameras)) return;
-    if (narrow) this.part(".menu").prepend(cameras);
-    else this.field("menu").before(cameras);
-  }
-
-  private updateCameras(): void {
-    const { player } = this;
-    const select = this.select("camera");
-    if (player.header !== this.camerasOf) {
-      this.camerasOf = player.header;
-      const free = new Option("free view", FREE, true, true);
-      free.hidden = true;
-      const rig = player.header?.cameras.map(({ name }, index) => {
-        const held = player.header!.heldOut.includes(name) ? " (held out)" : "";
-        return new Option(name + held, String(index));
-      });
-      select.replaceChildren(free, ...(rig ?? []));
-    }
-    const index = player.header?.cameras.findIndex(({ name }) => name === player.camera) ?? -1;
-    select.value = index >= 0 ? String(index) : FREE;
-  }
-
-  private updateLegend(): void {
-    const { overlay } = this.player;
-    if (overlay === this.legendOf) return;
-    this.legendOf = overlay;
-    const legend = this.part(".legend");
-    legend.innerHTML = ownMarkup(LEGENDS[overlay]);
-    legend.hidden = overlay === "none";
-  }
-
-  private async copyPose(): Promise<void> {
-    const camera = this.player.currentCamera();
-    if (camera !== null) await this.copy(poseFile(camera), "Copied: save it as pose.json for decogs-decode --camera");
-  }
-
-  /** The address of this page at this view and frame. */
-  private address(): string {
-    const { view, currentFrame } = this.player;
-    const address = new URL(location.href);
-    if (view !== null) address.hash = `camera=${cameraToLink(view.pose, view.lens)}&frame=${currentFrame}`;
-    return address.href;
-  }
-
-  private async copyLink(): Promise<void> {
-    await this.copy(this.address(), "Copied: a link to this view and frame");
   }
 
   private async enterXr(mode: "immersive-vr" | "immersive-ar"): Promise<void> {
     try {
       await this.player.enterXr(mode);
     } catch (error) {
-      this.say(error instanceof Error ? error.message : String(error), false);
+      this.notices.say(error instanceof Error ? error.message : String(error));
     }
   }
 
@@ -402,35 +318,6 @@ export class Panels {
     for (const [name, mode] of [["vr", "immersive-vr"], ["ar", "immersive-ar"]] as const) {
       this.field(name).hidden = !((await navigator.xr?.isSessionSupported(mode).catch(() => false)) ?? false);
     }
-  }
-
-  private async copyEmbed(): Promise<void> {
-    const quoted = this.address().replace(/&/g, "&amp;").replace(/"/g, "&quot;");
-    const frame = `<iframe src="${quoted}" title="Free-viewpoint video" style="border: 0; width: 100%; aspect-ratio: 16 / 9" allow="fullscreen; clipboard-write; xr-spatial-tracking"></iframe>`;
-    await this.copy(frame, "Copied: code that shows this page in yours");
-  }
-
-  private async copy(text: string, done: string): Promise<void> {
-    try {
-      await navigator.clipboard.writeText(text);
-      this.say(done, false);
-    } catch {
-      // A page without leave for the clipboard (plain http, a frame): the text can be copied by hand.
-      window.prompt("Copy this:", text);
-    }
-  }
-
-  /** A notice; one that does not stay goes by itself, and gives way to a warning that does. */
-  private say(text: string, stays: boolean): void {
-    clearTimeout(this.noticeTimer);
-    const notice = this.part(".notice");
-    notice.textContent = text;
-    notice.hidden = text === "";
-    notice.classList.toggle("warning", stays);
-    if (stays || text === "") return;
-    this.noticeTimer = window.setTimeout(() => {
-      this.say(this.warning ?? "", this.warning !== null);
-    }, NOTICE_MS);
   }
 
   private toggle(selector: string): void {

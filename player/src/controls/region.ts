@@ -22,15 +22,15 @@ export function drawnRegion(kind: Region["kind"], camera: PinholeCamera, around:
   const { axes, centre } = poseOf(camera);
   const middle = before === null ? around : middleOf(before);
   const depth = dot(axes[2], minus(middle, centre));
-  const place = ([x, y]: Point): Vector => {
+  const pointAt = ([x, y]: Point): Vector => {
     const seen: Vector = [((x - camera.cx) / camera.fx) * depth, ((y - camera.cy) / camera.fy) * depth, depth];
     return plus(centre, applied(transposed(axes), seen));
   };
   if (kind === "sphere") {
-    const at = place(from);
-    return { kind, centre: at, radius: length(minus(place(to), at)) };
+    const at = pointAt(from);
+    return { kind, centre: at, radius: length(minus(pointAt(to), at)) };
   }
-  const corners = [from, to, [from[0], to[1]] as const, [to[0], from[1]] as const].map(place);
+  const corners = [from, to, [from[0], to[1]] as const, [to[0], from[1]] as const].map(pointAt);
   const low = AXES.map((axis) => Math.min(...corners.map((corner) => corner[axis])));
   const high = AXES.map((axis) => Math.max(...corners.map((corner) => corner[axis])));
   const into = AXES.reduce((most, axis) => (Math.abs(axes[2][axis]) > Math.abs(axes[2][most]) ? axis : most));
@@ -48,9 +48,9 @@ export function cropCommand(region: Region, stream: string): string {
   const digits = Math.max(0, 3 - Math.ceil(Math.log10(Math.max(size, 1e-9))));
   const number = (value: number): string => String(Number(value.toFixed(Math.min(digits, 12))));
   const vector = (values: Vector): string => values.map(number).join(",");
-  const told = region.kind === "box" ? `box ${vector(region.low)} ${vector(region.high)}` : `sphere ${vector(region.centre)} ${number(region.radius)}`;
+  const shape = region.kind === "box" ? `box ${vector(region.low)} ${vector(region.high)}` : `sphere ${vector(region.centre)} ${number(region.radius)}`;
   const name = /^[\w./-]+$/.test(stream) ? stream : `'${stream.replaceAll("'", String.raw`'\''`)}'`;
-  return `decogs-edit ${name} -o cropped.dgs crop ${told}`;
+  return `decogs-edit ${name} -o cropped.dgs crop ${shape}`;
 }
 
 /** Its edges, or circles of it, in a camera's picture, as far as they lie before it. */

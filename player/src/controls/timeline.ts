@@ -13,7 +13,7 @@ const WIDEST = 12;
 export class Timeline {
   private readonly canvas = document.createElement("canvas");
   private readonly tip = document.createElement("div");
-  private readonly told = document.createElement("div");
+  private readonly caption = document.createElement("div");
   private readonly thumbnails: Thumbnails;
   private drawnState = "";
   private hovered = -1;
@@ -26,7 +26,7 @@ export class Timeline {
     this.tip.className = "tip";
     this.tip.hidden = true;
     this.thumbnails = new Thumbnails(player);
-    this.tip.append(this.thumbnails.canvas, this.told);
+    this.tip.append(this.thumbnails.canvas, this.caption);
     track.append(this.canvas, this.tip);
     track.addEventListener("pointerdown", (event) => {
       track.setPointerCapture(event.pointerId);
@@ -154,9 +154,9 @@ export class Timeline {
     if (frame !== this.hovered) {
       this.hovered = frame;
       const psnr = frames.psnr.get(frame);
-      const told = [timeText(frame / fps), `frame ${frame}`, frames.kind(frame) ?? "lost", bytesText(frames.bytes[frame])];
-      if (psnr !== undefined) told.push(`${psnr.toFixed(2)} dB`);
-      this.told.textContent = told.join("  ·  ");
+      const parts = [timeText(frame / fps), `frame ${frame}`, frames.kind(frame) ?? "lost", bytesText(frames.bytes[frame])];
+      if (psnr !== undefined) parts.push(`${psnr.toFixed(2)} dB`);
+      this.caption.textContent = parts.join("  ·  ");
     }
     this.thumbnails.show(frame);
     const { left, width } = this.track.getBoundingClientRect();

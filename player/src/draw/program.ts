@@ -14,12 +14,12 @@ export function linked(gl: WebGL2RenderingContext, vertex: string, fragment: str
   if (!(gl.getProgramParameter(program, gl.LINK_STATUS) as boolean) && !gl.isContextLost()) {
     throw new Error(`this browser's WebGL2 refuses a shader: ${gl.getProgramInfoLog(program) ?? ""}`);
   }
-  const places = new Map<string, WebGLUniformLocation | null>();
+  const locations = new Map<string, WebGLUniformLocation | null>();
   return {
     program,
     uniform(name) {
-      if (!places.has(name)) places.set(name, gl.getUniformLocation(program, name));
-      return places.get(name) ?? null;
+      if (!locations.has(name)) locations.set(name, gl.getUniformLocation(program, name));
+      return locations.get(name) ?? null;
     },
   };
 }

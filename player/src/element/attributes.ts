@@ -1,5 +1,12 @@
-/** Attributes as properties, as HTML's own elements have them. */
-
+/**
+ * Attributes as properties, as HTML's own elements have them.
+ *
+ * Attributes: src, controls, autoplay, loop, poster, preload, crossorigin, camera (a name), follow (the stream is still being written),
+ * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
+ * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
+ * quality (a share of the pixels, and fewer Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
+ * muted (without sound, to begin with), gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
+ */
 import type { PlayerApi, Span } from "../player_api";
 
 const PRELOADS = ["none", "metadata", "auto"] as const;
@@ -99,8 +106,8 @@ export function takeOverProperties(element: HTMLElement): void {
 
 /** Frames A:B, as commands have them; null for what is none. */
 function spanOf(text: string | null): Span | null {
-  const found = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
-  if (found === null) return null;
-  const [from, to] = [Number(found[1]), Number(found[2])];
+  const match = /^\s*(\d{1,9})\s*:\s*(\d{1,9})\s*$/.exec(text ?? "");
+  if (match === null) return null;
+  const [from, to] = [Number(match[1]), Number(match[2])];
   return from < to ? [from, to] : null;
 }

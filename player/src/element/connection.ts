@@ -43,7 +43,7 @@ interface Early {
   readonly source: string;
   readonly follow: boolean;
   readonly first: number;
-  readonly said: FromWorker[];
+  readonly messages: FromWorker[];
   readonly failed: boolean;
 }
 
@@ -57,16 +57,16 @@ let spare: Worker | null = globalThis.decogsEarly === undefined ? spareWorker() 
 export class Connection {
   private readonly worker: Worker;
   /** What an early worker said before this heard it. */
-  private readonly said: FromWorker[];
+  private readonly earlier: FromWorker[];
 
   /** Opens a stream. Throws where no worker can be started. */
   constructor(opening: Opening, receive: (message: FromWorker) => void, failed: (message: string) => void) {
     const early = earlyFor(opening);
     this.worker = early?.worker ?? spare ?? startedWorker();
     spare = null;
-    this.said = early?.said ?? [];
+    this.earlier = early?.messages ?? [];
     const hearEarlier = (): void => {
-      for (let said = this.said.shift(); said !== undefined; said = this.said.shift()) receive(said);
+      for (let message = this.earlier.shift(); message !== undefined; message = this.earlier.shift()) receive(message);
     };
     this.worker.onmessage = (event: MessageEvent<FromWorker>) => {
       hearEarlier();
@@ -84,6 +84,13 @@ export class Connection {
     this.worker.postMessage(message, transfer);
   }
 
+  /** Gives buffers back that nobody needs any more, for the worker to fill again. */
+  recycle(...arrays: (Uint32Array | Uint8Array | null | undefined)[]): void {
+    const buffers = arrays.flatMap((array) => (array ? [array.buffer as ArrayBuffer] : []));
+    const whole = buffers.filter((buffer) => buffer.byteLength > 0);
+    this.send({ type: "recycle", buffers: whole }, whole);
+  }
+
   private async giveKernel(): Promise<void> {
     try {
       const bytes = await kernelBytes();
@@ -94,7 +101,7 @@ export class Connection {
   }
 
   close(): void {
-    this.said.length = 0;
+    this.earlier.length = 0;
     this.worker.onmessage = this.worker.onerror = null;
     this.send({ type: "close" });
     this.worker.terminate();

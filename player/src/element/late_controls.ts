@@ -19,7 +19,16 @@ export class LateControls {
   constructor(
     private readonly player: PlayerApi,
     private readonly root: ShadowRoot,
-  ) {}
+  ) {
+    for (const name of ["keydown", "keyup"] as const) {
+      player.addEventListener(name, (event) => {
+        this.#key(event);
+      });
+    }
+    player.addEventListener("blur", () => {
+      this.#controls?.forgetKeys(player); // another window sees them released
+    });
+  }
 
   /** Before the first picture is there, nothing but what leads to it; where it takes long, people are told. */
   setLoading(on: boolean): void {
@@ -67,14 +76,9 @@ export class LateControls {
   }
 
   /** What a key asks for; those that come before the controls have them come. */
-  key(event: KeyboardEvent): void {
+  #key(event: KeyboardEvent): void {
     if (this.panels === null) this.start();
     else if (this.#controls?.looksInto(this.player, this.panels, event) === true) event.preventDefault();
-  }
-
-  /** Forgets keys whose release another window has seen. */
-  forgetKeys(): void {
-    this.#controls?.forgetKeys(this.player);
   }
 
   #put(controls: Controls): void {

@@ -6,17 +6,14 @@ import type { Renderer } from "../draw/renderer";
 import type { WebGlRenderer } from "../draw/webgl_renderer";
 import type { PinholeCamera } from "../geometry/camera";
 import type { Overlay } from "../player_api";
-import type { DepthRow, ExactAnswer, TextureLayout } from "../messages";
+import { NO_ANSWER, type DepthRow, type ExactAnswer, type TextureLayout } from "../messages";
 import type { StreamHeader } from "../scene";
+import type { Session } from "./session";
 import { Stage, type LookedThrough } from "./stage";
 
-/** What pictures need of the worker and of the element. */
+/** What pictures need of the element. */
 export interface PicturesHost {
   readonly size: () => { readonly width: number; readonly height: number };
-  /** The worker sorts; sends everything again; draws exactly. */
-  readonly sort: (depth: DepthRow, serial: number) => void;
-  readonly resend: () => void;
-  readonly drawExactly: (camera: PinholeCamera) => void;
   readonly lookedThrough: () => LookedThrough | null;
   readonly cameraMoved: () => void;
   /** Another renderer draws. */
@@ -58,7 +55,9 @@ export class Pictures {
   #exactly: ExactCanvas | null = null;
   #begun: { readonly layout: TextureLayout; readonly header: StreamHeader } | null = null;
 
+  /** `session`: has the worker sort, send and draw. */
   constructor(
+    private readonly session: Pick<Session, "send" | "lost">,
     private readonly host: PicturesHost,
     choice: ExactChoice,
   ) {
@@ -66,7 +65,7 @@ export class Pictures {
     this.elements = [this.#canvas, this.#exactCanvas];
     const restored = (): void => {
       clearTimeout(this.#lostTimer);
-      host.resend();
+      this.#resend();
     };
     this.#fast = fastRenderer(this.#canvas, restored, () => {
       if (!this.exact) this.stage.forget();
@@ -74,7 +73,10 @@ export class Pictures {
         this.#giveUpFast();
       }, LOST_MS);
     });
-    this.stage = new Stage(this.#rightRenderer(), host.size, host.sort, host.lookedThrough);
+    const sort = (depth: DepthRow, serial: number): void => {
+      session.send({ type: "view", depth, serial });
+    };
+    this.stage = new Stage(this.#rightRenderer(), host.size, sort, host.lookedThrough);
     this.stage.navigation.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.#detachPointer = attachPointer(this.#canvas, this.stage.navigation, host);
   }
@@ -132,7 +134,7 @@ export class Pictures {
     if (renderer === this.stage.renderer) return false;
     this.stage.renderer = renderer;
     if (this.#begun !== null) renderer.begin(this.#begun.layout, this.#begun.header);
-    this.host.resend();
+    this.#resend();
     this.stage.touch();
     return true;
   }
@@ -183,12 +185,21 @@ export class Pictures {
     if (this.#change()) this.host.changed();
   }
 
+  #resend(): void {
+    this.session.send({ type: "resend" });
+  }
+
+  readonly #drawExactly = (camera: PinholeCamera): void => {
+    if (this.session.lost.aborted) this.exactlyDrawn(NO_ANSWER);
+    else this.session.send({ type: "exact", camera });
+  };
+
   #rightRenderer(): Renderer {
     const fast = !this.#kernelFailed && (this.#choice ?? this.#automatic) ? null : this.#fast;
     this.#exactCanvas.hidden = fast !== null;
     this.#canvas.style.opacity = fast === null ? "0" : ""; // the other one may be transparent
     if (fast !== null) return fast;
-    return (this.#exactly ??= new ExactCanvas(this.#exactCanvas, this.host.drawExactly));
+    return (this.#exactly ??= new ExactCanvas(this.#exactCanvas, this.#drawExactly));
   }
 }
 

@@ -9,6 +9,17 @@ const MOST_SKIPPED = 15;
 /** Share of real time that decoding may take before frames are shown one by one, later than they are due. */
 const COMFORTABLE = 0.8;
 
+/** A moment of a stream, whose frames a second may not be known yet. */
+export type Moment = { readonly seconds: number } | { readonly frame: number };
+
+/** In frames and parts of them. */
+export function framesOf(moment: Moment, fps: number): number {
+  return "frame" in moment ? moment.frame : moment.seconds * fps;
+}
+
+/** Of a frame: sums of steps miss whole frames by less. */
+const ROUNDING = 1e-6;
+
 export class Playback {
   playing = false;
   loop = false;
@@ -33,7 +44,7 @@ export class Playback {
   }
 
   get due(): number {
-    return Math.max(0, Math.min(Math.floor(this.position + 1e-6), this.frameCount - 1));
+    return Math.max(0, Math.min(Math.floor(this.position + ROUNDING), this.frameCount - 1));
   }
 
   /** The frames that are played again and again, as far as they are known; null: none are. */
@@ -49,7 +60,7 @@ export class Playback {
     const most = shown + this.allowed() + 1 - 1e-3;
     const next = Math.min(this.position + seconds * this.rate * this.fps, Math.max(most, this.position));
     const { repeated } = this;
-    if (repeated !== null && next >= repeated[1]) {
+    if (repeated !== null && next >= repeated[1] - ROUNDING) {
       const [from, to] = repeated;
       // What is beyond the end belongs to the next pass, since sound goes on without a gap. Elsewhere a range begins anew.
       this.position = this.position < to ? from + ((next - to) % (to - from)) : from;

@@ -12,6 +12,11 @@ export class Sight {
     return this.#document.hidden;
   }
 
+  /** Whether nobody sees the element; one that is `heard` plays on out of the window, but not in a page that is hidden. */
+  isUnseen(heard: boolean): boolean {
+    return this.pageHidden || (this.offScreen && !heard);
+  }
+
   begin(element: HTMLElement): void {
     this.end();
     this.#document = element.ownerDocument;

@@ -3,7 +3,7 @@
  * first. The engine's state is left as it was found.
  */
 import { SplatBatches } from "../draw/splat_batches";
-import type { Drawing } from "../element/session";
+import type { Drawing } from "../element/session_host";
 import type { Pose } from "../geometry/poses";
 import type { Similarity } from "../geometry/similarity";
 import type { DepthRow, DrawOrder, SceneUpdate, TextureLayout } from "../messages";
@@ -79,9 +79,9 @@ export class SceneDrawing implements Drawing {
     if (this.#layout === null || gl.isContextLost()) return false;
     this.#startIn(gl, this.#layout);
     const [, , width, height] = gl.getParameter(gl.VIEWPORT) as Int32Array;
-    const found = engineCamera(view, width, height, this.#transform);
-    if (found === null) return false;
-    const { camera, depth, pose } = found;
+    const converted = engineCamera(view, width, height, this.#transform);
+    if (converted === null) return false;
+    const { camera, depth, pose } = converted;
     this.seenFrom(pose);
     this.#sortFor(camera.worldToCamera[2] as DepthRow);
     const batches = this.#batches;

@@ -24,7 +24,7 @@ export class ScenePlayer extends EventTarget {
   #waking = false;
   /** Why a view was not drawn; null once one is. */
   #refused: string | null = null;
-  readonly #told = new Set<string>();
+  readonly #reported = new Set<string>();
   #lastTime = 0;
 
   constructor(source: string, { autoplay = false, loop = false, follow = false }: SceneOptions = {}) {
@@ -96,15 +96,13 @@ export class ScenePlayer extends EventTarget {
     return this.#session.playback.due;
   }
   set currentFrame(frame: number) {
-    if (this.header !== null) this.#session.seek(Math.round(frame));
-    else if (Number.isFinite(frame)) this.#session.start = { frame: Math.max(0, Math.round(frame)) };
+    this.#session.goTo({ frame: Math.round(frame) });
   }
   get currentTime(): number {
     return this.#session.position / this.fps;
   }
   set currentTime(seconds: number) {
-    if (this.header !== null) this.#session.seek(seconds * this.fps);
-    else if (Number.isFinite(seconds)) this.#session.start = { seconds: Math.max(0, seconds) };
+    this.#session.goTo({ seconds });
   }
   get loop(): boolean {
     return this.#session.playback.loop;
@@ -162,8 +160,8 @@ export class ScenePlayer extends EventTarget {
   /** Says why nothing is drawn: as `error`, and once as an event and in the console. */
   refuse(why: string): void {
     this.#refused = why;
-    if (this.#told.has(why)) return;
-    this.#told.add(why);
+    if (this.#reported.has(why)) return;
+    this.#reported.add(why);
     console.error(why);
     this.#tell("error");
   }

@@ -66,7 +66,7 @@ export class ExactRenderer {
   ): Uint8ClampedArray<ArrayBuffer> {
     return this.guarded(() => {
       this.render(gaussians, shDegree, camera, background);
-      const at = found(this.kernel.exact_pixels());
+      const at = allocated(this.kernel.exact_pixels());
       return new Uint8ClampedArray(this.kernel.memory.buffer, at, 4 * camera.width * camera.height).slice();
     });
   }
@@ -97,13 +97,13 @@ export class ExactRenderer {
     this.placeScene(gaussians, shDegree);
     this.placeCamera(camera);
     const [red, green, blue] = background;
-    return found(this.kernel.exact_draw(red, green, blue, MAX_PAIRS));
+    return allocated(this.kernel.exact_draw(red, green, blue, MAX_PAIRS));
   }
 
   private placeScene(gaussians: Gaussians, shDegree: number): void {
     const { count, order } = gaussians;
     const colours = 3 * (shDegree + 1) ** 2;
-    const at = found(this.kernel.exact_scene(count, shDegree));
+    const at = allocated(this.kernel.exact_scene(count, shDegree));
     const room = new Float32Array(this.kernel.memory.buffer, at, count * (GEOMETRY + colours));
     // Of Gaussians at equal depth the one that comes first in the stream is in front.
     let to = 0;
@@ -182,7 +182,7 @@ function gather(values: Float32Array, width: number, order: Uint32Array, room: F
   }
 }
 
-function found(address: number): number {
+function allocated(address: number): number {
   if (address === 0) throw new ExactError("there is not enough memory for the exact picture; choose a smaller one");
   return address;
 }

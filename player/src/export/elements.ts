@@ -51,7 +51,7 @@ function numbered(name: string, count: number): string[] {
   return Array.from({ length: count }, (_, n) => `${name}_${n}`);
 }
 
-/** As `transformed_splats` in formats/similarity.py: in float64, rounded once. */
+/** As `transformed_splats` in formats/geometry/similarity.py: in float64, rounded once. */
 function transformed(gaussians: Gaussians, coefficients: number, { rotation, scale, shift }: Similarity): Gaussians {
   const places = Math.max(gaussians.count, gaussians.order?.reduce((most, place) => Math.max(most, place + 1), 0) ?? 0);
   const linear = rotation.map((row) => row.map((value) => scale * value));

@@ -19,9 +19,9 @@ export interface FrameSource {
 export async function createFrameSource(source: StreamSource, options: StreamOptions = {}): Promise<FrameSource> {
   const stream = await createStream(source, options);
   // Without an index, frames are found by walking there; it ends where nothing more is found.
-  for (let known = -1; !stream.complete && stream.frames.length > known; ) {
-    known = stream.frames.length;
-    await stream.prefetch(Math.max(known - 1, 0));
+  for (let count = -1; !stream.complete && stream.frames.length > count; ) {
+    count = stream.frames.length;
+    await stream.prefetch(Math.max(count - 1, 0));
   }
   return {
     frameCount: stream.frames.length,

@@ -1,4 +1,4 @@
-/** How spherical harmonics turn with a scene: `sh_rotation` of formats/spherical_harmonics.py, from as many directions as unknowns. */
+/** How spherical harmonics turn with a scene: `sh_rotation` of formats/geometry/spherical_harmonics.py, from as many directions as unknowns. */
 import { applied, transposed, unit, type Matrix, type Vector } from "../geometry/vectors";
 
 /** Far from each other and from each other's opposites: a system of seven is well conditioned. */
@@ -22,9 +22,9 @@ export function shRotation(degree: number, rotation: Matrix): number[][] {
   for (let band = 0; band <= degree; band++) {
     const [first, width] = [band ** 2, 2 * band + 1];
     const seen = DIRECTIONS.slice(0, width);
-    const there = seen.map((direction) => basis(direction).slice(first, first + width));
-    const here = seen.map((direction) => basis(applied(back, direction)).slice(first, first + width));
-    solve(there, here).forEach((row, i) => {
+    const before = seen.map((direction) => basis(direction).slice(first, first + width));
+    const after = seen.map((direction) => basis(applied(back, direction)).slice(first, first + width));
+    solve(before, after).forEach((row, i) => {
       row.forEach((value, j) => (turned[first + i][first + j] = value));
     });
   }

@@ -1,5 +1,4 @@
-/** Lens distortion, backwards: the direction that a point of a distorted picture comes from (decoder/lens.py). */
-import type { RigCamera } from "../scene";
+/** Lens distortion, backwards: the direction that a point of a distorted picture comes from (decoder/cameras/lens.py). */
 
 const NEWTON_STEPS = 15;
 const CONVERGED = 1e-12;
@@ -14,7 +13,10 @@ const WIDEST_ANGLE = Math.PI / 2 - 1e-3;
 /** From a distorted point in normalised coordinates (x/z, y/z) to the undistorted one; null where no direction falls. */
 export type Straighten = (x: number, y: number) => readonly [number, number] | null;
 
-export type LensModel = Pick<RigCamera, "distortionModel" | "distortion">;
+export interface LensModel {
+  readonly distortionModel: "none" | "opencv" | "fisheye";
+  readonly distortion: readonly number[];
+}
 
 export function isDistorted({ distortionModel, distortion }: LensModel): boolean {
   return distortionModel === "fisheye" || distortion.some((coefficient) => coefficient !== 0);

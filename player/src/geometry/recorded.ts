@@ -1,6 +1,6 @@
 /**
  * The picture that a camera of the rig recorded: from where it stood in the frame, with its lens and its colours
- * (SPEC section 6, "Corrections"; decoder/views.py).
+ * (SPEC section 6, "Corrections"; decoder/rendering/views.py).
  *
  * A wider pinhole is drawn, which sees all that the lens sees, and resampled; then the colours' odds are multiplied.
  */
@@ -43,8 +43,8 @@ export function recordingOf(
 ): Recording {
   const scale = window.fx / camera.fx;
   const [width, height] = [scale * camera.width, scale * camera.height];
-  const place = { left: (window.width - width) / 2, top: (window.height - height) / 2, width, height };
-  return { lens: isDistorted(camera) ? camera : null, odds: oddsOf(camera, correction), ...place };
+  const area = { left: (window.width - width) / 2, top: (window.height - height) / 2, width, height };
+  return { lens: isDistorted(camera) ? camera : null, odds: oddsOf(camera, correction), ...area };
 }
 
 function oddsOf({ colours }: RigCamera, correction: CameraCorrection | null): Recording["odds"] {
@@ -79,10 +79,10 @@ export function lensPlan(camera: PinholeCamera, lens: LensModel, cell: number): 
   for (let row = 0, at = 0; row < rows; row++) {
     const y = (first + row * cell - camera.cy) / camera.fy;
     for (let column = 0; column < columns; column++, at += 2) {
-      const found = straighten((first + column * cell - camera.cx) / camera.fx, y);
-      if (found === null) continue;
-      positions[at] = found[0] * camera.fx + camera.cx;
-      positions[at + 1] = found[1] * camera.fy + camera.cy;
+      const direction = straighten((first + column * cell - camera.cx) / camera.fx, y);
+      if (direction === null) continue;
+      positions[at] = direction[0] * camera.fx + camera.cx;
+      positions[at + 1] = direction[1] * camera.fy + camera.cy;
       range[0].add(positions[at]);
       range[1].add(positions[at + 1]);
     }

@@ -1,7 +1,6 @@
 /** A turn, a scale and a shift: what takes a scene as it is stored to the world that it is shown in (SPEC section 4, "Presentation"). */
-import type { RigCamera, StreamHeader } from "../scene";
 import type { PinholeCamera } from "./camera";
-import { applied, dot, minus, plus, product, times, transposed, type Matrix, type Vector } from "./vectors";
+import { applied, dot, minus, times, transposed, type Matrix, type Vector } from "./vectors";
 
 /** x becomes `scale` `rotation` x + `shift`. */
 export interface Similarity {
@@ -10,27 +9,7 @@ export interface Similarity {
   readonly shift: Vector;
 }
 
-type Rows = readonly (readonly number[])[];
 type Row = readonly [number, number, number, number];
-
-/** The header with its cameras and sounds where its transform takes them; the very object where it has none. */
-export function inItsWorld(header: StreamHeader): StreamHeader {
-  const { transform } = header.presentation;
-  if (transform === null) return header;
-  const sound = header.sound.map((track) => ({ ...track, position: track.position && moved(track.position, transform) }));
-  return { ...header, cameras: header.cameras.map((camera) => transformed(camera, transform)), sound };
-}
-
-function moved(point: Vector, { rotation, scale, shift }: Similarity): Vector {
-  return plus(times(applied(rotation, point), scale), shift);
-}
-
-/** The camera shows of the transformed scene what it showed of the scene. */
-function transformed(camera: RigCamera, { rotation, scale, shift }: Similarity): RigCamera {
-  const axes = product(axesOf(camera.worldToCamera), transposed(rotation));
-  const worldToCamera = axes.map((axis, i) => [...axis, scale * camera.worldToCamera[i][3] - dot(axis, shift)]);
-  return { ...camera, worldToCamera, near: scale * camera.near };
-}
 
 /** A camera of the world as what draws takes it, which has the scene as it is stored: the same picture. */
 export function intoScene(camera: PinholeCamera, by: Similarity | null): PinholeCamera {
@@ -49,8 +28,4 @@ export function rowIntoScene(row: Row, by: Similarity | null): Row {
 /** A point of the world where the scene has it. */
 export function pointIntoScene(point: Vector, by: Similarity | null): Vector {
   return by === null ? point : times(applied(transposed(by.rotation), minus(point, by.shift)), 1 / by.scale);
-}
-
-function axesOf(rows: Rows): Matrix {
-  return rows.map(([x, y, z]) => [x, y, z] as const) as unknown as Matrix;
 }

@@ -1,5 +1,5 @@
 /** Opus blocks decoded by the browser (WebCodecs). */
-import { BLOCK, RATE } from "./packets";
+import { BLOCK, RATE } from "../container/sound";
 import type { Run } from "./runs";
 
 /** Samples of each channel of a run; silence where a block is none that the browser decodes. */
@@ -7,9 +7,9 @@ export async function decoded(run: Run, channels: number): Promise<Float32Array[
   const samples = Array.from({ length: channels }, () => new Float32Array(BLOCK * run.blocks.length));
   const decoder = new AudioDecoder({
     output: (data) => {
-      const place = Math.round(data.timestamp / 1e6 * RATE);
+      const start = Math.round(data.timestamp / 1e6 * RATE);
       samples.forEach((channel, index) => {
-        const part = channel.subarray(place, place + data.numberOfFrames);
+        const part = channel.subarray(start, start + data.numberOfFrames);
         if (part.length < data.numberOfFrames) return; // what a decoder adds
         data.copyTo(part, { planeIndex: Math.min(index, data.numberOfChannels - 1), format: "f32-planar" });
       });

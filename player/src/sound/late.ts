@@ -10,7 +10,7 @@ import type { Speaker } from "./speaker";
 const PATIENCE_MS = 500;
 
 /** What is known of the pictures when sound is kept in step with them. */
-export interface Place {
+export interface PictureTime {
   readonly position: number;
   readonly frameCount: number;
   readonly rate: number;
@@ -90,7 +90,7 @@ export class LateSound {
     return soon && !this.inVain ? 0 : null;
   }
 
-  keep({ position, frameCount, rate, complete, repeated }: Place): void {
+  keep({ position, frameCount, rate, complete, repeated }: PictureTime): void {
     // A frame's sound is known when the next one has come.
     this.speaker?.keep(position, complete ? frameCount : frameCount - 1, rate, repeated);
   }

@@ -1,6 +1,6 @@
 /** Which blocks one decoder runs through, and where they are heard. */
 import type { SoundFrame } from "../scene";
-import { BLOCK, CONTINUES, frameStart, PRE_ROLL } from "./packets";
+import { BLOCK, CONTINUES, frameStart, PRE_ROLL } from "../container/sound";
 
 /** Blocks without a gap, from the sample `first` on, that are heard from one sample up to, not including, another. */
 export interface Run {

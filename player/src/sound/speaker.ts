@@ -8,7 +8,7 @@ import { length, minus, times, type Vector } from "../geometry/vectors";
 import type { Span } from "../player_api";
 import type { SoundFrame, SoundTrack } from "../scene";
 import { decoded } from "./decoding";
-import { RATE, frameStart, framesBefore } from "./packets";
+import { RATE, frameStart, framesBefore } from "../container/sound";
 import { put, runsOf } from "./runs";
 
 const PIECE_SECONDS = 0.5;
@@ -253,8 +253,8 @@ export class Speaker {
   }
 
   private placedTracks(): (readonly [PannerNode, Vector])[] {
-    const places = this.tracks.flatMap(({ position }) => (position === null ? [] : [position]));
-    return this.placed.map((panner, index) => [panner, places[index]] as const);
+    const positions = this.tracks.flatMap(({ position }) => (position === null ? [] : [position]));
+    return this.placed.map((panner, index) => [panner, positions[index]] as const);
   }
 }
 

@@ -13,13 +13,13 @@ const NUMBERS: Readonly<Record<string, readonly (keyof CameraCorrection)[]>> = {
 
 /** By camera, what the block tells of it: numbers of the block alone, without those of the header. */
 export function readCorrections(fields: Fields, header: StreamHeader): Map<string, CameraCorrection> {
-  const told = new Map<string, Writable>();
+  const corrections = new Map<string, Writable>();
   for (const [effect, cameras] of header.corrected) {
     for (const name of cameras) {
-      const correction = told.get(name) ?? { exposure: 0, red: 0, blue: 0, yaw: 0, pitch: 0, roll: 0 };
+      const correction = corrections.get(name) ?? { exposure: 0, red: 0, blue: 0, yaw: 0, pitch: 0, roll: 0 };
       for (const number of NUMBERS[effect]) correction[number] = fields.i16();
-      told.set(name, correction);
+      corrections.set(name, correction);
     }
   }
-  return told;
+  return corrections;
 }

@@ -247,8 +247,8 @@ function lastKeptId(state: State, removed: Uint32Array): bigint {
   return row < 0 ? -1n : state.id(row);
 }
 
-function checkDigest(sum: bigint, count: number, nextId: bigint, told: bigint): void {
-  if (combine(sum, count, nextId) !== told) {
+function checkDigest(sum: bigint, count: number, nextId: bigint, expected: bigint): void {
+  if (combine(sum, count, nextId) !== expected) {
     refuse("digest-mismatch", "the reconstructed state is not the encoder's");
   }
 }
@@ -271,12 +271,12 @@ function concatenated(...parts: Uint32Array[]): Uint32Array {
 /** Places below the count, each once. */
 function distinct(places: Uint32Array, count: number): Uint32Array {
   const seen = new Uint8Array(count);
-  let found = 0;
+  let kept = 0;
   for (let i = 0; i < places.length; i++) {
     const place = places[i];
     if (place >= count || seen[place] !== 0) continue;
     seen[place] = 1;
-    places[found++] = place;
+    places[kept++] = place;
   }
-  return places.subarray(0, found);
+  return places.subarray(0, kept);
 }

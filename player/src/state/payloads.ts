@@ -67,9 +67,9 @@ export function readKeyBody(fields: Fields, head: KeyHead, first: State | null, 
   const changes = first === null ? null : readChanges(fields, first.count, channels);
   const listed = first === null || changes === null ? head.count : readListed(fields, head, first, changes);
   if (listed === 0 && head.firstListed !== 0n) refuse("bad-payload", "the first id of no Gaussians is not 0");
-  const told = listed > 0 || changes === null;
-  const ids = told ? readIds(fields, head, listed) : consecutiveIds(0n, 0);
-  const values = told ? readGroups(fields, channels, listed, "values") : NOTHING;
+  const coded = listed > 0 || changes === null;
+  const ids = coded ? readIds(fields, head, listed) : consecutiveIds(0n, 0);
+  const values = coded ? readGroups(fields, channels, listed, "values") : NOTHING;
   fields.finish();
   return { changes, ids, values };
 }

@@ -170,24 +170,24 @@ export class State {
 
   /** Puts the batch's part of all columns where the kernel takes it. */
   private setColumns(groups: Groups, all: number, rows: number, from: number): void {
-    groups.forEach((told, group) => {
-      if (told === null) return;
+    groups.forEach((columns, group) => {
+      if (columns === null) return;
       for (let channel = 0; channel < this.channels[group]; channel++) {
         const column = this.offsets[group] + channel;
-        if (!(told instanceof Int32Array)) this.setPlanes(told, channel, column, rows, from);
-        else this.rows.columns.set(told.subarray(channel * all + from, channel * all + from + rows), BATCH * column);
+        if (!(columns instanceof Int32Array)) this.setPlanes(columns, channel, column, rows, from);
+        else this.rows.columns.set(columns.subarray(channel * all + from, channel * all + from + rows), BATCH * column);
       }
     });
   }
 
-  private setPlanes(told: Planes, channel: number, column: number, rows: number, from: number): void {
+  private setPlanes(group: Planes, channel: number, column: number, rows: number, from: number): void {
     const { kernel, planes } = this.rows;
-    const starts = told.starts[channel];
+    const starts = group.starts[channel];
     starts.forEach((start, plane) => {
-      planes.set(told.block.subarray(start + from, start + from + rows), BATCH * plane);
+      planes.set(group.block.subarray(start + from, start + from + rows), BATCH * plane);
     });
-    const before = told.channelBefore && channel > 0 ? 1 : 0;
-    kernel.unzigzag(column, starts.length, rows, told.constants[channel], before);
+    const before = group.channelBefore && channel > 0 ? 1 : 0;
+    kernel.unzigzag(column, starts.length, rows, group.constants[channel], before);
   }
 }
 

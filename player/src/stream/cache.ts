@@ -227,8 +227,8 @@ export class CachedSource implements ByteSource {
     if (held !== null) return held;
     if (length <= this.sizes.kept / 2) {
       await this.missing(offset, length, wanted, signal);
-      const found = this.heldBlocks(offset, length);
-      if (found !== null) return found;
+      const read = this.heldBlocks(offset, length);
+      if (read !== null) return read;
     }
     // More than is kept: it goes on to whoever asked, past the cache.
     const start = offset - (offset % this.sizes.block);

@@ -30,15 +30,15 @@ function below(places: Uint32Array, count: number): Uint32Array {
 
 function union(parts: readonly Uint32Array[], count: number): Uint32Array {
   const marks = new Uint8Array(count);
-  let found = 0;
+  let distinct = 0;
   for (const places of parts) {
     for (const place of places) {
       if (place >= count || marks[place]) continue;
       marks[place] = 1;
-      found++;
+      distinct++;
     }
   }
-  const all = new Uint32Array(found);
-  for (let place = 0, next = 0; next < found; place++) if (marks[place]) all[next++] = place;
+  const all = new Uint32Array(distinct);
+  for (let place = 0, next = 0; next < distinct; place++) if (marks[place]) all[next++] = place;
   return all;
 }

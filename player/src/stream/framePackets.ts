@@ -32,12 +32,12 @@ export async function readFramePacket(
   try {
     const data = await source.read(offset, bytes, signal);
     const { header, payload } = readPacket(data, limits);
-    const found = frameKind(header.kind);
-    if (found === null || found !== kind || header.frame !== frame) {
+    const actual = frameKind(header.kind);
+    if (actual === null || actual !== kind || header.frame !== frame) {
       refuse("index-mismatch", `the index says that frame ${frame} lies elsewhere`);
     }
     readBeside(data.subarray(PACKET_OVERHEAD + header.length), limits, onBeside);
-    return { kind: found, frame, payload };
+    return { kind: actual, frame, payload };
   } catch (error) {
     throw error instanceof StreamError ? error.at(null, offset) : error;
   }

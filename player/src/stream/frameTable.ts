@@ -14,18 +14,18 @@ export class FrameTable {
   readonly entries: FrameEntry[] = [];
   private readonly offsets: number[] = [];
   private readonly causes = new Map<number, StreamError>();
-  private found = 0;
+  private present = 0;
 
   add(kind: FrameKind, offset: number, bytes: number): void {
     this.entries.push({ kind, bytes });
     this.offsets.push(offset);
-    this.found++;
+    this.present++;
   }
 
   /** Frames up to, not including, `end` are missing. Raises "too-large" when that are too many to conceal. */
   addLost(end: number, cause: StreamError): void {
-    const lost = end - this.found;
-    const limit = Math.min(LOST_AT_MOST, LOST_AT_LEAST + LOST_FOR_EACH * this.found);
+    const lost = end - this.present;
+    const limit = Math.min(LOST_AT_MOST, LOST_AT_LEAST + LOST_FOR_EACH * this.present);
     if (lost > limit) refuse("too-large", `${lost} frames are missing, above the limit of ${limit}`);
     while (this.entries.length < end) {
       this.causes.set(this.entries.length, cause);
@@ -38,7 +38,7 @@ export class FrameTable {
   removeLast(): void {
     this.entries.pop();
     this.offsets.pop();
-    this.found--;
+    this.present--;
   }
 
   get length(): number {

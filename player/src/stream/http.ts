@@ -120,8 +120,8 @@ export class HttpFeed implements Feed {
 
   /** A part must begin where it was asked for, and belong to the same file as the parts before. */
   private check(answer: Response, offset: number): void {
-    const told = /^bytes (\d+)-/.exec(answer.headers.get("Content-Range") ?? "");
-    if (told !== null && Number(told[1]) !== offset) throw this.broken("the server sent another part than asked for");
+    const match = /^bytes (\d+)-/.exec(answer.headers.get("Content-Range") ?? "");
+    if (match !== null && Number(match[1]) !== offset) throw this.broken("the server sent another part than asked for");
     const version = answer.headers.get("ETag") ?? answer.headers.get("Last-Modified");
     if (!this.grows && this.version !== null && version !== this.version) {
       throw this.broken("the file has changed on the server; open it again");
@@ -263,9 +263,9 @@ class Download {
   private async fill(): Promise<boolean> {
     while (this.rest.length === 0) {
       try {
-        const found = await this.reader?.read();
-        if (found?.value === undefined) return false;
-        this.rest = found.value as Uint8Array<ArrayBuffer>;
+        const chunk = await this.reader?.read();
+        if (chunk?.value === undefined) return false;
+        this.rest = chunk.value as Uint8Array<ArrayBuffer>;
       } catch (error) {
         this.failed = true;
         throw error;
@@ -304,12 +304,12 @@ function rangeOf(offset: number, length: number): RequestInit {
 
 /** Of a part: the whole file's size, where it is told. */
 function totalOf(answer: Response): number | null {
-  const told = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
-  return told === null ? null : Number(told[1]);
+  const match = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
+  return match === null ? null : Number(match[1]);
 }
 
 /** Of a whole file; not told where the transfer compresses it. */
 function lengthOf(answer: Response): number | null {
-  const told = answer.headers.get("Content-Length");
-  return told === null || answer.headers.has("Content-Encoding") ? null : Number(told);
+  const length = answer.headers.get("Content-Length");
+  return length === null || answer.headers.has("Content-Encoding") ? null : Number(length);
 }

@@ -3,19 +3,20 @@
 import { StreamError, isDamage, type Reason } from "../container/errors";
 import { DEFAULT_LIMITS, type Limits } from "../container/limits";
 import { startZstd } from "../entropy/zstd";
-import { KIND, type PacketHeader } from "../container/packets";
-import { MAX_PACKETS, readSoundPacket } from "../sound/packets";
-import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, SoundPacket, Still, StreamHeader } from "../scene";
+import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, Still, StreamHeader } from "../scene";
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
 import { BlobFeed } from "./blob";
 import { CachedSource } from "./cache";
 import { Ages } from "./ages";
 import { Changes } from "./changes";
-import { findBeside, leadsTo, readFramePacket } from "./framePackets";
+import { leadsTo, readFramePacket } from "./framePackets";
 import { FrameTable } from "./frameTable";
 import { HttpFeed } from "./http";
-import { readMetricsPayload } from "./metrics";
+import { heldFrames, heldShare } from "./heldFrames";
+import { Metrics } from "./metrics";
 import { readIndexAtEnd, readOpening, type Opening } from "./opening";
+import { Pauses } from "./pauses";
+import { readSound } from "./sound";
 import { MemorySource, type ByteSource, type Span } from "./sources";
 import { Walk } from "./walk";
 
@@ -46,8 +47,6 @@ const WRONG_INDEX: ReadonlySet<Reason | null> = new Set<Reason | null>([
   "misplaced-packet",
 ]);
 const NOTHING: Omit<Step, "corrections"> = { places: new Uint32Array(0), changed: 0, added: 0, removed: 0 };
-/** How long decoding goes on without letting messages in, so that it can be aborted. */
-const BUSY_MS = 20;
 
 /** An address, a file that was chosen or dropped, bytes, or a source of one's own. */
 export type StreamSource = string | URL | Blob | ArrayBuffer | Uint8Array | ByteSource;
@@ -88,7 +87,6 @@ interface Shown {
 
 class OpenStream implements SceneStream {
   readonly header: StreamHeader;
-  readonly metrics = new Map<number, FrameMetrics>();
   private readonly follow: boolean;
   private readonly ahead: boolean;
   /** The frame that was asked for last. */
@@ -109,9 +107,9 @@ class OpenStream implements SceneStream {
   /** Why the frame before is shown, from a damaged frame on up to the next keyframe. */
   private held: StreamError | null = null;
   private turn: Promise<unknown> = Promise.resolve();
-  private busySince = 0;
+  private readonly pauses = new Pauses();
   private closed = false;
-  private readonly metricsSought = new Set<number>();
+  private readonly figures = new Metrics();
   /** Reading ahead that began last; what began before gives way. */
   private aheadTurn = 0;
 
@@ -125,10 +123,14 @@ class OpenStream implements SceneStream {
     this.ahead = ahead;
     this.header = opening.header;
     this.decoder = new Decoder(opening.header, limits);
-    this.walk = new Walk(source, this.walked, opening.end, limits, follow, this.onMetrics);
+    this.walk = new Walk(source, this.walked, opening.end, limits, follow, this.figures.note);
     this.indexRead = this.readIndex();
     // Whoever needs the index awaits it.
     this.indexRead.then(onChange, () => undefined);
+  }
+
+  get metrics(): ReadonlyMap<number, FrameMetrics> {
+    return this.figures.byFrame;
   }
 
   get frames(): readonly FrameEntry[] {
@@ -152,32 +154,11 @@ class OpenStream implements SceneStream {
   }
 
   get buffered(): readonly Span[] {
-    const { table } = this;
-    const { held } = this.source;
-    if (held === undefined) return table.length > 0 ? [[0, table.length]] : [];
-    const spans: [number, number][] = [];
-    for (let frame = 0, span = 0; frame < table.length; frame++) {
-      const start = table.offset(frame);
-      const end = start + table.entries[frame].bytes;
-      while (span < held.length && held[span][1] < end) span++;
-      // What is lost need not be waited for.
-      if (start >= 0 && !(span < held.length && held[span][0] <= start)) continue;
-      const last = spans.at(-1);
-      if (last?.[1] === frame) last[1]++;
-      else spans.push([frame, frame + 1]);
-    }
-    return spans;
+    return heldFrames(this.table, this.source.held);
   }
 
   share(frame: number): number {
-    const { table } = this;
-    const { held } = this.source;
-    const known = Math.min(frame, table.length - 1);
-    const key = table.keyAt(known);
-    if (held === undefined || key === null || table.offset(known) < 0) return 1;
-    const [start, end] = [table.offset(key), table.offset(known) + table.entries[known].bytes];
-    const there = held.reduce((sum, [from, to]) => sum + Math.max(0, Math.min(to, end) - Math.max(from, start)), 0);
-    return there / (end - start);
+    return heldShare(this.table, this.source.held, frame);
   }
 
   get notices(): readonly string[] {
@@ -218,49 +199,29 @@ class OpenStream implements SceneStream {
     const turn = ++this.aheadTurn;
     const coming = this.source.prefetch(start, AHEAD_BYTES);
     await Promise.all([coming, this.walkAhead(start + AHEAD_BYTES, turn)]);
-    await this.findMetricsAhead(Math.max(0, from - 1), start + AHEAD_BYTES, turn);
+    // Where there is an index, nobody walks along the packets.
+    if (this.indexed !== null) {
+      const goesOn = (): boolean => !this.closed && turn === this.aheadTurn; // what was read ahead may be given up
+      await this.figures.find(this.source, this.indexed, Math.max(0, from - 1), start + AHEAD_BYTES, this.limits, goesOn);
+    }
   }
 
   /** Where there is no index, frames are found as their bytes come; a few at a time, since others wait for the walk, too. */
   private async walkAhead(end: number, turn: number): Promise<void> {
-    for (let known = -1; this.indexed === null && known !== this.table.length && turn === this.aheadTurn; ) {
-      known = this.table.length;
-      await this.walkTo(known + WALKED_AT_ONCE, undefined, end);
-    }
-  }
-
-  /** The figures of frames whose bytes were read ahead: where there is an index, nobody walks along the packets. */
-  private async findMetricsAhead(from: number, end: number, turn: number): Promise<void> {
-    const table = this.indexed;
-    if (table === null) return;
-    let busySince = performance.now();
-    for (let frame = from; frame < table.length && table.offset(frame) < end; frame++) {
-      if (this.metricsSought.has(frame)) continue;
-      if (performance.now() - busySince > BUSY_MS) {
-        await new Promise((resolve) => setTimeout(resolve));
-        busySince = performance.now();
-      }
-      if (this.closed || turn !== this.aheadTurn) return; // what was read ahead may be given up
-      this.metricsSought.add(frame);
-      await findBeside(this.source, table, frame, this.limits, this.onMetrics);
+    for (let count = -1; this.indexed === null && count !== this.table.length && turn === this.aheadTurn; ) {
+      count = this.table.length;
+      await this.walkTo(count + WALKED_AT_ONCE, undefined, end);
     }
   }
 
   async sound(from: number, to: number): Promise<SoundFrame[]> {
     const { table } = this;
-    const found: SoundFrame[] = [];
+    const frames: SoundFrame[] = [];
     for (let frame = from; frame < Math.min(to, table.length) && !this.closed; frame++) {
       if (table.offset(frame) < 0) continue; // lost
-      const packets: SoundPacket[] = [];
-      let count = 0;
-      await findBeside(this.source, table, frame, this.limits, ({ kind, frame: of }, payload) => {
-        if (kind !== KIND.SOUND || of !== frame || ++count > MAX_PACKETS) return;
-        const packet = readSoundPacket(payload, this.header.sound.length);
-        if (packet !== null) packets.push(packet);
-      });
-      found.push({ frame, packets });
+      frames.push(await readSound(this.source, table, frame, this.header.sound.length, this.limits));
     }
-    return found;
+    return frames;
   }
 
   refresh(): Promise<boolean> {
@@ -318,7 +279,7 @@ class OpenStream implements SceneStream {
     if (!(Number.isInteger(index) && index >= 0 && (await this.isKnown(index, signal)))) {
       throw new StreamError(null, `frame ${index} is not in this stream of ${this.table.length} frames`);
     }
-    this.busySince = performance.now();
+    this.pauses.begin();
     this.target = index;
     let shown = this.canStepTo(index) ? this.shown! : await this.jump(index, signal);
     while (shown.frame < index) shown = await this.stepOn(shown, signal);
@@ -384,7 +345,7 @@ class OpenStream implements SceneStream {
   }
 
   private async decode(frame: number, jump: boolean, signal?: AbortSignal): Promise<Shown> {
-    await this.letMessagesIn();
+    await this.pauses.take();
     const packet = await this.packet(frame, signal);
     if (this.ahead && frame === this.target) this.readBehind(frame);
     try {
@@ -410,14 +371,14 @@ class OpenStream implements SceneStream {
   private async packet(frame: number, signal?: AbortSignal): Promise<FramePacket> {
     const { table } = this;
     try {
-      return await readFramePacket(this.source, table, frame, this.limits, this.onMetrics, signal);
+      return await readFramePacket(this.source, table, frame, this.limits, this.figures.note, signal);
     } catch (error) {
       if (!isDamage(error) || table !== this.indexed || !WRONG_INDEX.has(error.reason)) throw error;
       if (await leadsTo(this.source, table, frame, this.opening.end, this.limits, signal)) throw error;
       this.indexed = null;
       this.indexNotices.push(error);
       if (!(await this.isKnown(frame, signal)) || this.table.entries[frame].kind === null) throw error;
-      return readFramePacket(this.source, this.table, frame, this.limits, this.onMetrics, signal);
+      return readFramePacket(this.source, this.table, frame, this.limits, this.figures.note, signal);
     }
   }
 
@@ -430,17 +391,6 @@ class OpenStream implements SceneStream {
     const changedRows = this.changes.take(gaussians.count);
     const shownKind = this.held === null ? kind : null;
     return { frame, kind: shownKind, bytes, damage, gaussians, changedRows, changed, added, removed, corrections };
-  }
-
-  private readonly onMetrics = (header: PacketHeader, payload: Uint8Array): void => {
-    const metrics = header.kind === KIND.METRICS ? readMetricsPayload(payload) : null;
-    if (metrics !== null) this.metrics.set(header.frame, metrics);
-  };
-
-  private async letMessagesIn(): Promise<void> {
-    if (performance.now() - this.busySince < BUSY_MS) return;
-    await new Promise((resolve) => setTimeout(resolve));
-    this.busySince = performance.now();
   }
 
   private checkOpen(): void {

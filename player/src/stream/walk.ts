@@ -46,7 +46,7 @@ export class Walk {
   private searching = false;
   /** Damage since the last frame packet: what frames that are missing are missing for. */
   private damage: StreamError | null = null;
-  private places = 0;
+  private damages = 0;
   private checkedInVain = 0;
 
   /** `follows`: the source may grow, so that a packet that is not whole is no damage. */
@@ -114,11 +114,11 @@ export class Walk {
     if (this.follows) return "waiting";
     const start = this.offset;
     this.offset++;
-    const found = await this.search(signal);
-    if (found === "on") this.note(new StreamError("truncated", "a packet is not there in full").at(null, start));
+    const progress = await this.search(signal);
+    if (progress === "on") this.note(new StreamError("truncated", "a packet is not there in full").at(null, start));
     else this.offset = start;
     this.searching = false;
-    return found;
+    return progress;
   }
 
   private async pass(packet: Passed, signal?: AbortSignal): Promise<void> {
@@ -188,16 +188,16 @@ export class Walk {
   private note(error: StreamError): void {
     this.damage = error;
     this.notices.push(error);
-    if (++this.places > MAX_DAMAGED_PLACES) refuse("too-large", "the stream is damaged in too many places");
+    if (++this.damages > MAX_DAMAGED_PLACES) refuse("too-large", "the stream is damaged in too many places");
   }
 
   /** Looks for the next intact packet header, byte by byte. */
   private async search(signal?: AbortSignal): Promise<Progress> {
     for (;;) {
       const chunk = await this.source.read(this.offset, SEARCH_CHUNK, signal);
-      const place = this.headerIn(chunk);
-      if (place !== null) {
-        this.offset += place;
+      const start = this.headerIn(chunk);
+      if (start !== null) {
+        this.offset += start;
         this.searching = false;
         return "on";
       }

@@ -33,7 +33,7 @@ export class StreamWorker {
   private plyMaker: PlyMaker | null = null;
   private readonly sorter = new DepthSorter();
   private readonly detail = new Detail();
-  private told = { frames: 0, metrics: 0, state: "" };
+  private sent = { frames: 0, metrics: 0, state: "" };
   private progressTimer: ReturnType<typeof setTimeout> | null = null;
   /** The frame that is read or decoded; null when none is. */
   private awaited: number | null = null;
@@ -289,7 +289,7 @@ export class StreamWorker {
   private tellProgress(): void {
     if (this.progressTimer !== null) clearTimeout(this.progressTimer);
     this.progressTimer = null;
-    const { stream, told, awaited } = this;
+    const { stream, sent, awaited } = this;
     if (stream === null) return;
     const psnr = this.newMetrics(stream);
     const frames = this.newFrames();
@@ -297,8 +297,8 @@ export class StreamWorker {
     const share = awaited === null ? null : stream.share(awaited);
     const state = { bytesRead, notices, buffered, trouble, share, complete: this.isComplete(stream) };
     const text = JSON.stringify(state);
-    if (frames === null && psnr.length === 0 && text === told.state) return;
-    told.state = text;
+    if (frames === null && psnr.length === 0 && text === sent.state) return;
+    sent.state = text;
     this.send({ type: "progress", frames, psnr, ...state });
   }
 
@@ -308,19 +308,19 @@ export class StreamWorker {
   }
 
   private newFrames(): FrameTable | null {
-    const known = this.stream!.frames;
-    const from = this.told.frames;
-    if (known.length <= from) return null;
-    const added = known.slice(from);
-    this.told.frames = known.length;
+    const frames = this.stream!.frames;
+    const from = this.sent.frames;
+    if (frames.length <= from) return null;
+    const added = frames.slice(from);
+    this.sent.frames = frames.length;
     const kinds = Uint8Array.from(added, ({ kind }) => FRAME_KINDS.indexOf(kind));
     return { from, kinds, bytes: Uint32Array.from(added, ({ bytes }) => bytes) };
   }
 
   private newMetrics(stream: SceneStream): readonly (readonly [number, number])[] {
-    if (stream.metrics.size === this.told.metrics) return [];
-    const added = [...stream.metrics].slice(this.told.metrics); // a Map keeps the order in which entries came
-    this.told.metrics = stream.metrics.size;
+    if (stream.metrics.size === this.sent.metrics) return [];
+    const added = [...stream.metrics].slice(this.sent.metrics); // a Map keeps the order in which entries came
+    this.sent.metrics = stream.metrics.size;
     return added.flatMap(([frame, { psnr }]) => (psnr === null ? [] : [[frame, psnr] as const]));
   }
 }

@@ -77,9 +77,9 @@ export class Show {
     this.moveByHand(frame, this.placement);
     host.sort(standing(head, this.placement)[2]);
     for (const view of seen.views) {
-      const place = layer.getViewport(view);
-      if (place === undefined || place.width === 0) continue;
-      const { x, y, width, height } = place;
+      const viewport = layer.getViewport(view);
+      if (viewport === undefined || viewport.width === 0) continue;
+      const { x, y, width, height } = viewport;
       const eye = { matrix: view.transform.matrix, projection: view.projectionMatrix, width, height };
       host.draw(cameraOf(eye, this.placement), { framebuffer: layer.framebuffer, x, y, clear: this.mode === "immersive-ar" });
     }

@@ -1,4 +1,4 @@
-/** The rule of formats/up_direction.py and the point of decoder/camera_moves.py: same inputs, same outputs. */
+/** The rule of formats/geometry/up_direction.py and the point of decoder/cameras/moves.py: same inputs, same outputs. */
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";

@@ -1,56 +1,12 @@
 /** Parts of the element that decide something: its poster, callbacks of frames, whether it is seen, properties that came early. */
+import { FakeElement, FakeObserver, page, picture, reported, waiting } from "./page";
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
+import { AttributeElement, takeOverProperties } from "../../src/element/attributes";
 import { FrameCallbacks } from "../../src/element/frame_callbacks";
-import type { Poster as PosterOf } from "../../src/element/poster";
-
-const reported: unknown[] = [];
-
-/** An element with attributes. */
-class FakeElement extends EventTarget {
-  readonly kept = new Map<string, string>();
-  hidden = false;
-  src = "";
-  ownerDocument = globalThis.document;
-  getAttribute(name: string): string | null {
-    return this.kept.get(name) ?? null;
-  }
-  setAttribute(name: string, value: unknown): void {
-    this.kept.set(name, String(value));
-  }
-  removeAttribute(name: string): void {
-    this.kept.delete(name);
-  }
-  hasAttribute(name: string): boolean {
-    return this.kept.has(name);
-  }
-  toggleAttribute(name: string, on: boolean): void {
-    if (on) this.setAttribute(name, "");
-    else this.removeAttribute(name);
-  }
-}
-
-/** Tells what tests have it tell. */
-class FakeObserver {
-  static last: FakeObserver;
-  observed: unknown[] = [];
-  constructor(readonly tell: (entries: readonly { readonly isIntersecting: boolean }[]) => void) {
-    FakeObserver.last = this;
-  }
-  observe(element: unknown): void {
-    this.observed.push(element);
-  }
-  disconnect(): void {
-    this.observed = [];
-  }
-}
-
-const page = Object.assign(new EventTarget(), { hidden: false, createElement: () => new FakeElement(), defaultView: { IntersectionObserver: FakeObserver } });
-Object.assign(globalThis, { HTMLElement: FakeElement, document: page, reportError: (error: unknown) => reported.push(error) });
-// Behind what they extend.
-const { AttributeElement, takeOverProperties } = await import("../../src/element/attributes");
-const { Poster } = await import("../../src/element/poster");
-const { Sight } = await import("../../src/element/sight");
+import { Poster } from "../../src/element/poster";
+import { Sight } from "../../src/element/sight";
+import { Ticker } from "../../src/element/ticker";
 
 beforeEach(() => {
   reported.length = 0;
@@ -138,7 +94,7 @@ test("attributes of few values are one of them", () => {
 });
 
 /** Whether a poster is seen after some of its life. */
-function poster(act: (poster: PosterOf) => void, address = "a.jpg"): boolean {
+function poster(act: (poster: Poster) => void, address = "a.jpg"): boolean {
   const of = new Poster();
   of.address = address;
   act(of);
@@ -227,11 +183,42 @@ test("an element is seen where it is in the window of a page that is shown", () 
   page.hidden = true;
   page.dispatchEvent(new Event("visibilitychange"));
   assert.deepEqual([sight.pageHidden, changes], [true, 3]);
+  assert.deepEqual([sight.isUnseen(true), sight.isUnseen(false)], [true, true]);
   page.hidden = false;
+  assert.equal(sight.isUnseen(false), false);
   FakeObserver.last.tell([{ isIntersecting: false }]);
+  assert.deepEqual([sight.isUnseen(true), sight.isUnseen(false)], [false, true]);
   sight.end();
   assert.equal(sight.offScreen, false);
   assert.deepEqual(FakeObserver.last.observed, []);
   page.dispatchEvent(new Event("visibilitychange"));
   assert.equal(changes, 4);
+});
+
+test("of pictures that are asked for again and again one is waited for, in the window that shows the element", () => {
+  const ticks: (readonly [number, number])[] = [];
+  const ticker = new Ticker((now, seconds) => ticks.push([now, seconds]));
+  ticker.wake();
+  ticker.wake();
+  assert.equal(waiting.size, 1);
+  picture(50);
+  assert.deepEqual([ticker.request, waiting.size], [0, 0]);
+  ticker.wake();
+  picture(70);
+  assert.deepEqual(ticks, [[50, 0.05], [70, 0.02]]);
+
+  let asked: ((now: number) => void) | null = null;
+  const other = { requestAnimationFrame: (callback: (now: number) => void) => { asked = callback; return 9; }, cancelAnimationFrame: () => { asked = null; } };
+  const moved = Object.assign(new EventTarget(), { defaultView: other }) as unknown as Document;
+  ticker.wake();
+  ticker.moveTo(moved);
+  assert.deepEqual([waiting.size, ticker.request], [0, 9], "the window before may have been closed");
+  const now = performance.now();
+  asked!(3); // each window counts from its own beginning
+  assert.ok(ticks[2][0] >= now && ticks[2][1] === 0.1);
+  ticker.moveTo(moved);
+  assert.equal(ticker.request, 0);
+  ticker.moveTo(page as unknown as Document);
+  assert.equal(waiting.size, 1);
+  waiting.clear();
 });

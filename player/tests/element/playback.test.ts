@@ -167,3 +167,14 @@ test("nothing is due of a stream without frames", () => {
   of.advance(1, -1);
   assert.deepEqual([of.due, of.position, of.playing], [0, 0, true]);
 });
+
+test("no frame behind a range is due, however steps add up", () => {
+  const playback = new Playback();
+  Object.assign(playback, { playing: true, range: [5, 9], frameCount: 90, complete: true, fps: 30, position: 5 });
+  const due = new Set<number>();
+  for (let picture = 0; picture < 400; picture++) {
+    playback.advance(0.01 * (1 + (picture % 7)), playback.due);
+    due.add(playback.due);
+  }
+  assert.deepEqual([...due].sort(), [5, 6, 7, 8]);
+});

@@ -3,7 +3,8 @@ import { FakeWorker, frameTable, header, info, turn } from "./browser";
 import assert from "node:assert/strict";
 import { beforeEach, mock, test } from "node:test";
 import type { FrameInfo, FromWorker } from "../../src/messages";
-import { Session, type Drawing } from "../../src/element/session";
+import { Session } from "../../src/element/session";
+import type { Drawing } from "../../src/element/session_host";
 import type { StreamHeader } from "../../src/scene";
 
 interface Options {

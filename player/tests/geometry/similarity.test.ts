@@ -1,7 +1,8 @@
 /** A stream's world against its scene; that pictures are those of decogs-decode is compared in the browser. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { inItsWorld, intoScene, type Similarity } from "../../src/geometry/similarity";
+import { intoScene, type Similarity } from "../../src/geometry/similarity";
+import { inItsWorld } from "../../src/geometry/world";
 import type { RigCamera, StreamHeader } from "../../src/scene";
 
 test("a camera that went into the world and comes back into the scene is the same", () => {

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
 import { test } from "node:test";
 import type { SoundFrame } from "../../src/scene";
-import { BLOCK, frameStart, readSoundPacket } from "../../src/sound/packets";
+import { BLOCK, frameStart, readSoundPacket } from "../../src/container/sound";
 import { put, runsOf } from "../../src/sound/runs";
 import { createStream } from "../../src/stream/index";
 import { EXPECTED, GOOD, vector } from "../decoder/vectors";

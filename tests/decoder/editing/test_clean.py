@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.state import take_rows
-from decogs.codec.syntax import write_delta, write_key
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key
+from decogs.codec.scene.lattice import default_lattice, quantise
+from decogs.codec.scene.state import take_rows
 from decogs.decoder.editing import Clean, Transform, edit
 from decogs.decoder.editing.commands import edit_main
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
-from decogs.formats.pictures import read_picture
+from decogs.formats.pictures.reading import read_picture
 from decogs.formats.splats import Splats, join_splats, round_splats
+from decogs.formats.stream.container import PacketKind, StreamWriter
 from edited_streams import states_of
 
 STEPS = np.linspace(-0.5, 0.5, 6)

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.deltas import difference
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import dequantise, quantise
-from decogs.codec.state import empty_attributes, take_rows
-from decogs.codec.syntax import write_delta, write_key, write_skip
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key, write_skip
+from decogs.codec.scene.lattice import dequantise, quantise
+from decogs.codec.scene.state import empty_attributes, take_rows
 from decogs.decoder.editing import Concat, Trim, edit
-from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats
+from decogs.formats.stream.container import PacketKind, StreamWriter
 from edited_streams import assert_same_scenes, assert_same_values, bodies, header_of, states_of
 
 

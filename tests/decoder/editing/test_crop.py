@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise
-from decogs.codec.state import State, part_of
+from decogs.codec.scene.lattice import dequantise
+from decogs.codec.scene.state import State, part_of
 from decogs.decoder.editing import Box, Concat, Crop, Polygon, Region, Sphere, Trim, edit
 from decogs.decoder.editing.regions import region_of
 from decogs.formats.errors import UsageError

@@ -11,16 +11,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from decogs.codec.deltas import apply_delta, difference
-from decogs.codec.state import State, take_rows
-from decogs.codec.syntax import write_delta, write_key
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.syntax import write_delta, write_key
+from decogs.codec.scene.state import State, take_rows
 from decogs.decoder.editing import Audio, Cameras, Merge, Set, Trim, edit, read_recipe
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.editing.editing import MAX_OPERATIONS
 from decogs.decoder.editing.recipe import parse_operations
-from decogs.decoder.stream import open_stream
-from decogs.formats.container import PacketKind, StreamWriter
+from decogs.decoder.reading.stream import open_stream
 from decogs.formats.errors import DecogsError, StreamError, UsageError
+from decogs.formats.stream.container import PacketKind, StreamWriter
 from edited_streams import assert_same_scenes, bodies, states_of
 from packets import iterate_packets
 from sounding_streams import with_sound

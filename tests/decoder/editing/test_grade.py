@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise
+from decogs.codec.scene.lattice import dequantise
 from decogs.decoder.editing import Grade, Sphere, edit
 from decogs.decoder.editing.commands import edit_main
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
-from decogs.formats.spherical_harmonics import sh_basis
+from decogs.formats.geometry.spherical_harmonics import sh_basis
+from decogs.formats.stream.container import PacketKind
 from edited_streams import assert_same_values, bodies, header_of, states_of
 
 GREY = np.array([0.2126, 0.7152, 0.0722])

@@ -10,20 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import CorrectedCameras, Correction, write_corrections
-from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.sound import SoundTrack
-from decogs.codec.syntax import write_key, write_skip
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import CorrectedCameras, Correction, write_corrections
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.sound import SoundTrack
+from decogs.codec.packets.syntax import write_key, write_skip
+from decogs.codec.scene.lattice import default_lattice, quantise
 from decogs.decoder.commands import decode_main, info_main
 from decogs.decoder.editing import Cameras, Operation, Retime, Set, Speed, Strip, Transform, Trim, edit
 from decogs.decoder.editing.commands import edit_main
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.formats.cameras import Camera
-from decogs.formats.container import FRAME_KINDS, PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import round_splats
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind, StreamWriter
 from edited_streams import bodies, header_of
 from packets import iterate_packets
 from sounding_streams import with_sound

@@ -10,8 +10,8 @@ import pytest
 
 from decogs.decoder.editing import Concat, Crop, Merge, Sphere, Transform, Trim, edit
 from decogs.decoder.editing.commands import edit_main
-from decogs.decoder.stream import open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.errors import UsageError
 from edited_streams import bodies, header_of, in_order_of_values, states_of
 
@@ -106,7 +106,7 @@ def test_what_does_not_go_together_is_refused(small_stream, tmp_path: Path) -> N
 
 
 def with_header(data: bytes, header: bytes, path: Path) -> Path:
-    from decogs.formats.container import PacketKind, packet_bytes, prologue
+    from decogs.formats.stream.container import PacketKind, packet_bytes, prologue
 
     packet = packet_bytes(PacketKind.HEADER, 0, header)
     path.write_bytes(prologue() + packet + data[16 + len(packet) :])

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decogs.codec.keyframes import new_state
-from decogs.codec.state import State, attributes_from_columns
-from decogs.codec.syntax import write_key
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.packets.syntax import write_key
+from decogs.codec.scene.state import State, attributes_from_columns
 from decogs.decoder.editing.names import OWN_IDS, Names
 
 FAR = 1 << 40

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from decogs.codec.state import State
+from decogs.codec.scene.state import State
 from decogs.decoder.editing import Crop, Retime, Speed, Sphere, Trim, edit
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.editing.operations import retime
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
+from decogs.formats.stream.container import PacketKind
 from edited_streams import bodies, header_of, in_order_of_values, states_of
 
 EIGHT = list(range(8))

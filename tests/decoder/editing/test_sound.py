@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.sound import RATE, SoundTrack, frame_start
+from decogs.codec.packets.sound import RATE, SoundTrack, frame_start
 from decogs.decoder import decode_sound, open_stream
 from decogs.decoder.editing import (
     Audio,
@@ -29,7 +29,7 @@ from decogs.decoder.editing import (
 )
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.editing.operations.retime import _MOST_FRAMES
-from decogs.decoder.sound.samples import heard_in
+from decogs.decoder.sound.samples import mixed_sound
 from decogs.formats.errors import UsageError
 from edited_streams import bodies, header_of
 from sounding_streams import tones, with_sound
@@ -56,7 +56,7 @@ def write_wav(path: Path, samples: np.ndarray) -> None:
 
 def heard(path: Path) -> np.ndarray:
     with open_stream(path, strict=True) as stream:
-        return np.concatenate(list(heard_in(stream, range(stream.frame_count))), axis=1)
+        return np.concatenate(list(mixed_sound(stream, range(stream.frame_count))), axis=1)
 
 
 @pytest.mark.parametrize(

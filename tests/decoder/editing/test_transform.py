@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.codec.lattice import dequantise
+from decogs.codec.scene.lattice import dequantise
+from decogs.decoder.cameras.pose_file import read_free_cameras
 from decogs.decoder.editing import Box, Cameras, Concat, Crop, Transform, edit
 from decogs.decoder.editing.commands import edit_main
-from decogs.decoder.exporting import export
-from decogs.decoder.following import follow_stream
-from decogs.decoder.free_camera import read_free_cameras
-from decogs.decoder.played_view import PlayedView
-from decogs.decoder.stream import Stream, open_stream
-from decogs.decoder.views import render_view
+from decogs.decoder.exporting.exporting import export
+from decogs.decoder.reading.following import follow_stream
+from decogs.decoder.reading.stream import Stream, open_stream
+from decogs.decoder.rendering.played_view import PlayedView
+from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
-from decogs.formats.similarity import Similarity, transformed_camera, transformed_splats
+from decogs.formats.geometry.similarity import Similarity, transformed_camera, transformed_splats
+from decogs.formats.geometry.up_direction import up_of
 from decogs.formats.splat_files.reading import Room, read_splats
-from decogs.formats.up_direction import up_of
 from edited_streams import assert_same_values, bodies, header_of, states_of
 
 TURNED = Transform(origin=(0.1, 0.2, 2.0), turns=(("Y", 30.0), ("X", -50.0)), scale=2.5, shift=(1.0, -2.0, 0.5))

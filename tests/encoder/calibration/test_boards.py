@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.calibration.board_rig import place_by_board
-from decogs.encoder.calibration.boards import BoardFinder, BoardView, Charuco, parse_board
-from decogs.encoder.calibration.lenses import Lens
 from decogs.formats.errors import UsageError
+from decogs.rig.calibration.board_rig import place_by_board
+from decogs.rig.calibration.boards import BoardFinder, BoardView, Charuco, parse_board
+from decogs.rig.calibration.lenses import Lens
 
 BOARD = "charuco:5x4:0.05:0.0375:DICT_4X4_50"
 LENS = Lens("opencv", (500.0, 500.0), (319.5, 239.5), (-0.1, 0.02, 0.0, 0.0))

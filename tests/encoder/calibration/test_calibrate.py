@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from board_videos import BOARD, FOCAL, PHONES, POSES, write_board_videos, write_phone_videos
-from decogs.encoder.calibration import by_board as module
-from decogs.encoder.calibration.board_rig import BoardRig
-from decogs.encoder.calibration.boards import BoardView, parse_board
-from decogs.encoder.calibration.commands import calibrate_main
-from decogs.encoder.calibration.lenses import Lens, focal_deviation
-from decogs.formats.extras import install
 from decogs.formats.rigs import open_rig
+from decogs.formats.system.extras import install
+from decogs.rig.calibration import by_board as module
+from decogs.rig.calibration.board_rig import BoardRig
+from decogs.rig.calibration.boards import BoardView, parse_board
+from decogs.rig.calibration.commands import calibrate_main
+from decogs.rig.calibration.lenses import Lens, focal_deviation
 
 CORNERS = parse_board("charuco:5x4:0.05:0.0375:DICT_4X4_50").corners()
 LENS = Lens("none", (500.0, 500.0), (319.5, 239.5), (0.0,) * 4)
@@ -170,7 +170,7 @@ def test_what_cannot_be_done_is_said_before_the_work(
     _write_pictures(tmp_path / "videos", ["a", "b", "c"])
     (tmp_path / "file").write_text("kept")
     for module_of_work in ("footage", "by_motion", "by_board"):
-        monkeypatch.delattr(f"decogs.encoder.calibration.{module_of_work}.pictures_at")
+        monkeypatch.delattr(f"decogs.rig.calibration.{module_of_work}.pictures_at")
     arguments = [str(tmp_path / "videos"), "-o", str(tmp_path / "rig"), "-q"]
     assert calibrate_main([*arguments, *(each.format(file=tmp_path / "file") for each in more)]) == 2
     assert said in capsys.readouterr().err

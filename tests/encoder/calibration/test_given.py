@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from board_videos import BOARD, FOCAL, SIZE, write_board_videos
-from decogs.encoder.calibration.commands import calibrate_main
-from decogs.encoder.calibration.footage import open_footage
-from decogs.encoder.calibration.given import Given, given_lenses
-from decogs.encoder.calibration.lenses import Lens
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.rigs import open_rig
+from decogs.rig.calibration.commands import calibrate_main
+from decogs.rig.calibration.footage import open_footage
+from decogs.rig.calibration.given import Given, given_lenses
+from decogs.rig.calibration.lenses import Lens
 
 
 def lens_record(name: str, **others: Any) -> dict[str, Any]:

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from board_videos import write_board_videos
-from decogs.encoder.calibration.footage import check_copies, open_footage, unequal_lengths
-from decogs.encoder.calibration.page import page_of
-from decogs.encoder.calibration.placed import (
+from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.errors import RigError, UsageError
+from decogs.rig.calibration.footage import check_copies, open_footage, unequal_lengths
+from decogs.rig.calibration.page import page_of
+from decogs.rig.calibration.placed import (
     Calibration,
     Distance,
     Edge,
@@ -22,8 +24,6 @@ from decogs.encoder.calibration.placed import (
     scaled,
     upright,
 )
-from decogs.formats.cameras import Camera, camera_centre
-from decogs.formats.errors import RigError, UsageError
 
 ANYTHING: Any = None
 QUARTERS: dict[Edge, int] = {"top": 0, "left": 1, "bottom": 2, "right": 3}

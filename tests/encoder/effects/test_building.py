@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from decogs.decoder.stream import open_stream
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis import EFFECTS, Decision, EffectChoice, effect_choice, with_effects
 from decogs.encoder.change.masks import MaskMemory
@@ -19,8 +19,8 @@ from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import EmergenceSettings
 from decogs.encoder.training import emergence, selective_densification
-from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
+from decogs.formats.stream.container import PacketKind
 
 STANDARD = PRESETS["standard"]
 

@@ -76,7 +76,7 @@ def test_one_frame_tells_what_it_can(moving_rig: Path) -> None:
 
 def test_a_clip_beyond_the_memory_is_thinned(moving_rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Room for two frames of five 64x48 cameras: every second of four is looked at."""
-    monkeypatch.setattr("decogs.encoder.analysis.rig_statistics.MAX_BYTES", 2 * 5 * 64 * 48 * 3)
+    monkeypatch.setattr("decogs.rig.check.rig_statistics.MAX_BYTES", 2 * 5 * 64 * 48 * 3)
     analysis = analyse(moving_rig)
     assert (analysis.stats.frames, analysis.stats.step) == ((0, 2), 2)
     assert "4 frames, 1 in 2 analysed" in next(iter(analysis.table()))

@@ -18,11 +18,11 @@ import pytest
 from decogs.encoder import EncodeJob, encode
 from decogs.encoder.analysis.analyse import Analysis, analyse
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.analysis.faults import GOOD, HARMFUL, USABLE, Findings, faults_of
-from decogs.encoder.analysis.recordings import find_lost
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.rigs import open_rig, without_cameras
+from decogs.rig.check.faults import GOOD, HARMFUL, USABLE, Findings, faults_of
+from decogs.rig.check.recordings import find_lost
 from faults.make import FAULTS, with_fault, write_faulty, write_rig
 
 DATA = Path(os.environ.get("DECOGS_SHARED", Path(__file__).resolve().parents[4] / "shared")) / "data"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.light import (
+from decogs.rig.check.light import (
     EXPOSURE_LIMIT,
     FRAME_LIMIT,
     WHITE_BALANCE_LIMIT,

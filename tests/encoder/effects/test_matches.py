@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.lens import distort_pixels, undistort_pixels, with_k1
+from decogs.decoder.cameras.lens import distort_pixels, undistort_pixels, with_k1
 from decogs.encoder.analysis.lens_distortion import LensDistortion
-from decogs.encoder.analysis.light import light_at, light_overall, mismatch, own_light, shared_points
-from decogs.encoder.analysis.matches import features_of, find_matches, matched
-from decogs.encoder.analysis.recordings import BANDS, Recordings
-from decogs.encoder.analysis.rig_statistics import RigStatistics
 from decogs.formats.cameras import Camera
+from decogs.rig.check.light import light_at, light_overall, mismatch, own_light, shared_points
+from decogs.rig.check.matches import features_of, find_matches, matched
+from decogs.rig.check.recordings import BANDS, Recordings
+from decogs.rig.check.rig_statistics import RigStatistics
 
 Views = tuple[list[Camera], list[np.ndarray]]
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.registration import SHAKE_LIMIT_PIXELS, camera_path
+from decogs.rig.check.registration import SHAKE_LIMIT_PIXELS, camera_path
 
 
 def turned(picture: np.ndarray, degrees: float, across: float, down: float) -> np.ndarray:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.matches import Matches, PairMatches, neighbouring
-from decogs.encoder.analysis.rig_check import RIGHT, WRONG, judge_rig
 from decogs.formats.cameras import Camera, project
+from decogs.rig.check.matches import Matches, PairMatches, neighbouring
+from decogs.rig.check.rig_check import RIGHT, WRONG, judge_rig
 
 WIDTH, HEIGHT, FOCAL = 352, 264, 300.0
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from decogs.encoder.analysis.analyse import Analysis, analyse
-from decogs.encoder.analysis.rig_check import ROUGH, WRONG
-from decogs.encoder.analysis.stage_check import RoomCheck, StageCheck
 from decogs.formats.cameras import camera_centre
+from decogs.rig.check.rig_check import ROUGH, WRONG
+from decogs.rig.check.stage_check import RoomCheck, StageCheck
 from stages import scenes
 from stages.make import write_stage
 from stages.ray import Paint

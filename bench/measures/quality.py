@@ -1,0 +1,194 @@
+"""Decoded frames against what held-out cameras recorded: quality by region, flicker, and the time to render."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.output.pictures import to_8bit
+from decogs.decoder.rendering.views import render_view
+from decogs.formats.splats import Splats
+
+from .metrics import BytePicture, Mask, aligned, psnr, square_error_map
+from .perceptual import NOT_INSTALLED, Distance
+from .regions import Regions
+from .shot import Metric, Shot
+
+
+def metric(
+    value: Callable[[Shot], float | None],
+    heading: str,
+    meaning: str,
+    digits: int = 2,
+    *,
+    later: bool = False,
+    **more: Any,
+) -> Any:
+    """A field of FrameQuality: a `Metric`, which has ``more``. ``later``: files from before it can be read."""
+    kept = {"metric": Metric(value, heading, meaning, digits, **more)}
+    return field(default=None, kw_only=True, metadata=kept) if later else field(metadata=kept)
+
+
+@dataclass(frozen=True)
+class FrameQuality:
+    """One frame of a held-out camera, or the means over several: a field for each metric, None where it has no value.
+
+    PSNR in dB, variations in 0..1.
+    """
+
+    psnr: float | None = metric(lambda shot: shot.psnr(), "PSNR", "dB over the whole picture")
+    psnr_dynamic: float | None = metric(
+        lambda shot: shot.psnr(shot.regions.dynamic), "dynamic", "PSNR in dB over the dynamic region"
+    )
+    psnr_static: float | None = metric(
+        lambda shot: shot.psnr(shot.regions.static), "static", "PSNR in dB over the static region"
+    )
+    ssim: float | None = metric(lambda shot: shot.ssim(), "SSIM", "over the whole picture", 4)
+    ssim_dynamic: float | None = metric(
+        lambda shot: shot.ssim(shot.regions.dynamic), "SSIM dynamic", "SSIM map over the dynamic region", 4
+    )
+    ssim_static: float | None = metric(
+        lambda shot: shot.ssim(shot.regions.static), "SSIM static", "SSIM map over the static region", 4
+    )
+    lpips: float | None = metric(
+        lambda shot: None if shot.distance is None else shot.distance(shot.seen, shot.recorded),
+        "LPIPS",
+        "over the whole picture",
+        4,
+        nothing=NOT_INSTALLED,
+    )
+    variation: float | None = metric(
+        lambda shot: shot.change(shot.regions.static),
+        "mTV ×100",
+        "flicker: change of static pixels from frame to frame",
+        4,
+        units=100,
+        column="mtv",
+    )
+    psnr_aligned: float | None = metric(
+        lambda shot: psnr(square_error_map(aligned(shot.seen, shot.recorded), shot.recorded)),
+        "PSNR, aligned",
+        "the same with each channel's colours aligned first",
+        later=True,
+    )
+    psnr_subject: float | None = metric(
+        lambda shot: None if shot.matte is None else shot.psnr(shot.matte),
+        "subject",
+        "PSNR in dB inside the rig's true mattes",
+        later=True,
+    )
+    variation_undisturbed: float | None = metric(
+        lambda shot: shot.change(shot.regions.undisturbed),
+        "mTV ×100, undisturbed",
+        "flicker of static pixels outside every dilated difference mask of the held-out camera",
+        4,
+        units=100,
+        column="mtv_undisturbed",
+        later=True,
+    )
+
+
+METRICS: Mapping[str, Metric] = {f.name: f.metadata["metric"] for f in fields(FrameQuality)}
+"""By the field of FrameQuality that keeps it."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A camera that training never saw: what it recorded, a picture for each frame measured, its regions and mattes."""
+
+    camera: str
+    recorded: Iterable[BytePicture]
+    regions: Regions
+    mattes: Iterable[Mask | None]
+
+
+@dataclass(frozen=True)
+class StreamQuality:
+    """All frames, the median seconds to render one and to read one, and one column of every frame, (H, T, 3).
+
+    ``decode_cpu_seconds``: the median of reading and rendering one, in processor seconds, all cores added.
+    ``read_cpu_seconds``: of reading one, the mean, since some formats read all frames with the first.
+    """
+
+    frames: list[FrameQuality]
+    render_seconds: float
+    read_seconds: float
+    decode_cpu_seconds: float
+    read_cpu_seconds: float
+    column: NDArray[np.uint8]
+
+
+def measure_scenes(
+    header: StreamHeader,
+    scenes: Iterator[Splats],
+    views: Sequence[HeldOut],
+    *,
+    scale: float,
+    threads: int,
+    column: int,
+    distance: Distance | None = None,
+) -> StreamQuality:
+    """Compares the ``views`` of every frame, as any viewer would show them, with what was recorded.
+
+    ``header`` has the cameras; ``scenes``, a frame each, are read as they are needed. Every frame is rendered, also one
+    in which nothing changed. ``column``: which one of the first camera to keep; rendering is timed on that camera.
+    """
+    frames: list[FrameQuality] = []
+    rendering: list[float] = []
+    reading: list[float] = []
+    reading_cpu: list[float] = []
+    decoding: list[float] = []
+    columns: list[NDArray[np.uint8]] = []
+    before: list[BytePicture | None] = [None] * len(views)
+    for targets in zip(*(zip(view.recorded, view.mattes, strict=True) for view in views), strict=True):
+        began, began_cpu = time.perf_counter(), cpu_seconds()
+        splats = next(scenes)
+        reading.append(time.perf_counter() - began)
+        reading_cpu.append(cpu_seconds() - began_cpu)
+        if not rendering:  # the first rendering loads the kernel
+            render_view(header, splats, views[0].camera, scale=scale, threads=threads)
+        found: list[FrameQuality] = []
+        for number, (view, (target, matte)) in enumerate(zip(views, targets, strict=True)):
+            began, began_cpu = time.perf_counter(), cpu_seconds()
+            image = render_view(header, splats, view.camera, scale=scale, threads=threads).image
+            seconds, spent = time.perf_counter() - began, cpu_seconds() - began_cpu
+            seen = to_8bit(image)
+            found.append(_quality(Shot(seen, target, before[number], view.regions, matte, distance)))
+            before[number] = seen
+            if number == 0:
+                rendering.append(seconds)
+                decoding.append(reading_cpu[-1] + spent)
+                columns.append(seen[:, column])
+        frames.append(_mean(found))
+    return StreamQuality(
+        frames,
+        render_seconds=median(rendering),
+        read_seconds=median(reading),
+        decode_cpu_seconds=median(decoding),
+        read_cpu_seconds=fmean(reading_cpu),
+        column=np.stack(columns, axis=1),
+    )
+
+
+def cpu_seconds() -> float:
+    """Processor seconds so far, those of other programs that were run included."""
+    times = os.times()
+    return time.process_time() + times.children_user + times.children_system
+
+
+def _quality(shot: Shot) -> FrameQuality:
+    return FrameQuality(**{name: found.value(shot) for name, found in METRICS.items()})
+
+
+def _mean(found: Sequence[FrameQuality]) -> FrameQuality:
+    """The means over cameras, of those that have a value."""
+    values = {name: [v for each in found if (v := getattr(each, name)) is not None] for name in METRICS}
+    return FrameQuality(**{name: fmean(known) if known else None for name, known in values.items()})

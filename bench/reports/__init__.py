@@ -1,0 +1,1 @@
+"""A report: which runs it needs, its page, pictures and JSON."""

@@ -1,0 +1,1 @@
+"""Variants and rivals over rigs: encoded, measured, kept as one JSON each."""

@@ -1,0 +1,1 @@
+"""Viewpoints where no camera stood: every camera of a rig left out in turn."""

@@ -1,0 +1,1 @@
+"""The header packet, and how a stream wants to be shown."""

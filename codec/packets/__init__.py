@@ -1,0 +1,1 @@
+"""The payloads of packets: key, delta and skip, corrections of cameras, sound."""

@@ -1,0 +1,146 @@
+"""What cameras did to their pictures in a frame: the corrections block before a payload (SPEC.md, "Corrections").
+
+The scene is kept in its own colours and the cameras in their calibrated poses; a frame says of each camera that the
+header names how its picture differs from that. Integers only: floats appear when a picture is shown.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.stream.cursor import Cursor
+
+COLOUR_STEP = 2.0**-12
+"""Natural logarithm of the odds v / (1 - v) of a colour value, per unit of ``exposure``, ``red`` and ``blue``."""
+
+ANGLE_STEP = 2.0**-18
+"""Radians per unit of ``yaw``, ``pitch`` and ``roll``."""
+
+LARGEST = (1 << 15) - 1
+"""Largest magnitude of a number that the encoder writes; a block may hold one below it, the last of 16 bits."""
+
+EFFECT_FIELDS = {
+    "exposure_drift": ("exposure",),
+    "white_balance_drift": ("red", "blue"),
+    "camera_shake": ("yaw", "pitch", "roll"),
+}
+"""The numbers of each effect, in the order of the block."""
+
+
+@dataclass(frozen=True)
+class CorrectedCameras:
+    """Which cameras a stream's frames correct, by effect: their names, in the order of the block."""
+
+    exposure_drift: tuple[str, ...] = ()
+    white_balance_drift: tuple[str, ...] = ()
+    camera_shake: tuple[str, ...] = ()
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The effects that correct any camera."""
+        return tuple(effect for effect in EFFECT_FIELDS if getattr(self, effect))
+
+    def of(self, name: str) -> tuple[str, ...]:
+        """The effects that correct the camera of this name."""
+        return tuple(effect for effect in EFFECT_FIELDS if name in getattr(self, effect))
+
+    @property
+    def block_bytes(self) -> int:
+        """Size of the block that every frame begins with."""
+        return 2 * sum(len(fields) * len(getattr(self, effect)) for effect, fields in EFFECT_FIELDS.items())
+
+
+@dataclass(frozen=True)
+class Correction:
+    """How one camera's picture of one frame differs from what the scene shows; all integers, 0 for no difference.
+
+    ``exposure``, in all channels, and ``red`` and ``blue``, in theirs, add to the logarithm of a colour's odds, in
+    COLOUR_STEP. ``yaw``, ``pitch``, ``roll`` turn the camera about its own y, x and z axes, in ANGLE_STEP.
+    """
+
+    exposure: int = 0
+    red: int = 0
+    blue: int = 0
+    yaw: int = 0
+    pitch: int = 0
+    roll: int = 0
+
+    @property
+    def odds_gain(self) -> tuple[float, float, float]:
+        """Factors on the odds of red, green and blue, from the scene's colour to the recorded one."""
+        shifts = (self.exposure + self.red, self.exposure, self.exposure + self.blue)
+        red, green, blue = (math.exp(shift * COLOUR_STEP) for shift in shifts)
+        return red, green, blue
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """(3, 3): takes directions in the camera as it stood to those in the calibrated camera."""
+        return turn(self.yaw * ANGLE_STEP, self.pitch * ANGLE_STEP, self.roll * ANGLE_STEP)
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether the picture is turned at all."""
+        return bool(self.yaw or self.pitch or self.roll)
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether exposure or white balance is changed at all."""
+        return bool(self.exposure or self.red or self.blue)
+
+
+Corrections = Mapping[str, Correction]
+"""A frame's corrections by camera."""
+
+
+def whole_steps(value: float, step: float) -> int:
+    """The nearest number of steps that the block can hold."""
+    return max(-LARGEST, min(LARGEST, round(value / step)))
+
+
+def with_colours(correction: Correction, colours: Correction) -> Correction:
+    """The correction of a camera whose ``colours`` differ from the scene's in every frame."""
+    added = {name: getattr(correction, name) + getattr(colours, name) for name in ("exposure", "red", "blue")}
+    return replace(correction, **added)
+
+
+def turn(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
+    """Ry(yaw) Rx(pitch) Rz(roll), radians; (3, 3), written out so that no BLAS decides the last bits."""
+    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(angle), math.sin(angle)) for angle in (yaw, pitch, roll))
+    return np.array(
+        [
+            [cy * cr + sy * sp * sr, sy * sp * cr - cy * sr, sy * cp],
+            [cp * sr, cp * cr, -sp],
+            [cy * sp * sr - sy * cr, sy * sr + cy * sp * cr, cy * cp],
+        ]
+    )
+
+
+def write_corrections(corrections: Corrections, corrected: CorrectedCameras) -> bytes:
+    """The block of a frame; cameras that ``corrections`` lacks get zeros. Raises ValueError for a number too large."""
+    numbers = [
+        getattr(corrections.get(name, Correction()), field)
+        for effect, fields in EFFECT_FIELDS.items()
+        for name in getattr(corrected, effect)
+        for field in fields
+    ]
+    if not all(-LARGEST - 1 <= number <= LARGEST for number in numbers):
+        raise ValueError(f"a correction is beyond {LARGEST} steps")
+    return struct.pack(f"<{len(numbers)}h", *numbers)
+
+
+def read_corrections(cursor: Cursor, corrected: CorrectedCameras) -> Corrections:
+    """The block that a frame's payload begins with; raises StreamError "bad-payload" when the payload is shorter."""
+    size = corrected.block_bytes
+    numbers = iter(struct.unpack(f"<{size // 2}h", cursor.take(size)))
+    found: dict[str, Correction] = {}
+    for effect, fields in EFFECT_FIELDS.items():
+        for name in getattr(corrected, effect):
+            coded = {field: next(numbers) for field in fields}
+            found[name] = replace(found.get(name, Correction()), **coded)
+    return found

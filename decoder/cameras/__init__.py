@@ -1,0 +1,1 @@
+"""Cameras to render with: pose files, camera paths, moves, USD cameras, lenses and corrections."""

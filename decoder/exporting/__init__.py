@@ -1,0 +1,1 @@
+"""Frames for other programs: files of Gaussians, or one USD file."""

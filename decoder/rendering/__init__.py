@@ -1,0 +1,1 @@
+"""Views of a scene as pictures: single ones, played ones, films, layouts of several."""

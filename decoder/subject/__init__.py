@@ -1,0 +1,1 @@
+"""The subject of a stream alone: the hull of its mattes."""

@@ -1,0 +1,1 @@
+"""Files of Gaussians, one a frame, packed as a stream."""

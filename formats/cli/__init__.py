@@ -1,0 +1,1 @@
+"""What the commands of all layers share: arguments, texts, exit codes and progress."""

@@ -1,0 +1,1 @@
+"""Colours: the sRGB curve, ICC profiles, primaries, and from YCbCr to RGB."""

@@ -1,0 +1,1 @@
+"""Geometry of scenes: rotations, similarities, spherical harmonics, directions and units of length."""

@@ -1,0 +1,1 @@
+"""Single pictures: what a file says of its pixels, and the pixels."""

@@ -1,0 +1,1 @@
+"""Sound of videos and of files: tracks on the clock of the pictures, and Opus."""

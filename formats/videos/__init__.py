@@ -1,0 +1,1 @@
+"""Videos: their frames by time of presentation, clean aperture, chapters and timecode."""

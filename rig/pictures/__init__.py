@@ -1,0 +1,1 @@
+"""A rig as planar pictures of pinhole cameras, with their mattes, noise and dropouts."""

@@ -1,0 +1,113 @@
+"""Clocks that run apart: when each camera starts, asked again at the end of what all of them recorded.
+
+What a camera's start differs by is what its clock has lost on the others meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from decogs.formats.geometry.length_units import metres_of
+from decogs.formats.rigs import Rig, in_step
+from decogs.formats.rigs.timeline import RigIndex, RigTime, Timeline
+from decogs.formats.sound.tracks import Sound, read_sound
+from decogs.formats.videos.chapters import chapters_from
+from decogs.formats.videos.reading import VideoSource
+
+from ..parallel import Each
+from .joint import Joint
+from .motion import starts_by_motion
+from .small import MAX_FRAMES, small_camera, small_clip
+from .sound import starts_by_sound
+
+MIN_SECONDS = 60.0
+"""Of the common span; before, clocks have not run apart: 200 in a million are .36 frames of 30 a second."""
+_LISTENED = 20.0
+"""Seconds at either end of which sounds are compared."""
+_NOTICED = 0.5
+"""Frames that a clock must lose to be named: whole frames are then wrong at one end."""
+_SURE = 2.0
+"""Standard errors that this must be, too."""
+_MIN_VOTES = 0.7
+"""As for starts (`starts.known`)."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """By how many ``frames`` a camera's pictures come later ``between`` frames after the beginning; below 0: less."""
+
+    frames: float
+    between: int
+
+    @property
+    def scale(self) -> float:
+        """What its time stamps must be multiplied by to be the others'."""
+        return 1 + self.frames / self.between
+
+
+def find_drifts(rig: Rig, starts: Mapping[str, RigTime], each: Each) -> dict[str, Drift]:
+    """The cameras whose clocks run apart from most others', of recordings whose ``starts`` are known.
+
+    Empty where the common span is short, or nothing tells.
+    """
+    common = in_step(rig, starts)
+    if common.timeline.rate is None or common.frame_count < max(MIN_SECONDS * common.timeline.rate, 2 * MAX_FRAMES):
+        return {}
+    found: dict[str, Drift] = {}
+    listened = round(_LISTENED * common.timeline.rate)
+    for way, window in ((_by_motion, MAX_FRAMES), (_by_sound, listened)):  # what sound says counts more
+        between = common.frame_count - window
+        begin, end = (way(common, range(at, at + window), each) for at in (0, between))
+        found |= dict(_apart(common, begin, end, between))
+    return {name: drift for name, drift in found.items() if abs(drift.frames) > _NOTICED}
+
+
+def warnings_of(drifts: Mapping[str, Drift], timeline: Timeline) -> Iterator[str]:
+    """A warning for each: by how much, and how to mend it."""
+    for name, drift in drifts.items():
+        seconds = float(timeline.seconds_of(drift.between))
+        how, millionths = "slow" if drift.frames > 0 else "fast", abs(drift.scale - 1) * 1e6
+        yield (
+            f"camera {name}: its clock is {how} by {abs(drift.frames):.1f} frames in {seconds:.0f} s "
+            f"({millionths:.0f} in a million); bring its pictures to the others' clock "
+            f"(ffmpeg -itsscale {drift.scale:.6f} -i VIDEO -r {timeline.rate} ...), or use a shorter take"
+        )
+
+
+def _apart(rig: Rig, begin: Joint, end: Joint, between: int) -> Iterator[tuple[str, Drift]]:
+    """What is known of each camera; 0 frames where that is less than may be chance."""
+    apart = end.starts - begin.starts
+    errors = np.hypot(begin.errors, end.errors)
+    known = np.isfinite(apart) & np.isfinite(errors) & (np.minimum(begin.votes, end.votes) >= _MIN_VOTES)
+    if known.sum() > 2:
+        apart = apart - np.median(apart[known])
+        for row in np.flatnonzero(known).tolist():
+            sure = abs(apart[row]) > _SURE * errors[row]
+            yield rig.cameras[row].name, Drift(float(apart[row]) if sure else 0.0, between)
+
+
+def _by_motion(rig: Rig, frames: range, each: Each) -> Joint:
+    small = [small_camera(camera) for camera in rig.cameras]
+    clips = [small_clip(source, frames, to) for source, to in zip(rig.sources, small, strict=True)]
+    return starts_by_motion(small, clips, each)
+
+
+def _by_sound(rig: Rig, frames: range, each: Each) -> Joint:
+    sounds = list(each(lambda camera: _sound(rig, camera.name, frames), rig.cameras))
+    heard = starts_by_sound(rig.cameras, sounds, metres_of(rig.length_unit))
+    rate = float(rig.timeline.rate or 1)
+    # The way of the sound is the same at both ends, so that only the onsets' own error counts.
+    return Joint(heard.starts * rate, np.zeros(len(sounds)), heard.votes)
+
+
+def _sound(rig: Rig, camera: str, frames: range) -> Sound | None:
+    """What a camera heard meanwhile, from the first of these frames on."""
+    video, clock = rig.recording(camera), rig.timeline.clock(camera)
+    if not isinstance(video, VideoSource) or video.fps is None:
+        return None
+    begin, end = (clock.recorded_index(RigIndex(at)) for at in (frames.start, frames.stop))
+    chapters, first = chapters_from(video, begin)
+    return read_sound(chapters[0].path, (end - begin) / video.fps, first / video.fps)
