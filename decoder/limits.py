@@ -23,7 +23,7 @@ _COPIES = 15
 """A Gaussian may take this many times its bytes in a state: two states and the first keyframe's, their floats,
 and what is there in passing.
 
-The largest files that pass take up to 80 % of the limit (``tests/decoder/test_damage.py``)."""
+The largest files that pass take up to 80 % of the limit (``tests/decoder/reading/test_damage.py``)."""
 
 _FRAME_DIVISOR, _FRAME_BYTES = 16, 256
 """The fraction of the memory for knowing where frames lie, and what one costs: 240 bytes, the index packet included."""

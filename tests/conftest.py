@@ -13,6 +13,8 @@ import os
 
 import pytest
 
+from decogs.formats.cli.progress import Pace
+
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -28,5 +30,4 @@ with contextlib.suppress(ImportError):  # the wheel is checked in an environment
 @pytest.fixture(autouse=True)
 def no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests compare what commands say on stderr, and a busy machine would have them say how far they are."""
-    for name in ("_SECONDS", "_PAUSE"):
-        monkeypatch.setattr(f"decogs.formats.cli.progress.{name}", math.inf)
+    monkeypatch.setattr("decogs.formats.cli.progress._PACE", Pace(math.inf, math.inf))

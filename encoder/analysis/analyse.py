@@ -16,7 +16,7 @@ from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.system.callbacks import OnProgress
 from decogs.formats.system.threads import thread_count
 from decogs.rig.check.rig_check import RigCheck, check_rig, in_columns
-from decogs.rig.check.rig_statistics import RigStatistics, gather_statistics
+from decogs.rig.check.rig_statistics import MAX_BYTES, RigStatistics, gather_statistics
 from decogs.rig.check.stage_check import RoomCheck, StageCheck, check_backdrop
 from decogs.rig.parallel import side_by_side
 from decogs.rig.pictures.ingest import frame_span
@@ -106,18 +106,22 @@ def analyse(
     holdout: Sequence[str] = (),
     threads: int = 0,
     on_step: OnProgress = lambda done, total: None,
+    max_bytes: int = MAX_BYTES,
 ) -> Analysis:
     """Analyses a rig before anything is trained, and decides which effects are detected.
 
     ``rig``: its folder or calibration file, or the rig itself. ``frames``: consecutive ones, as a slice or a range; all
     when None. ``holdout``: names of cameras to leave out.
-    ``threads``: 0 means all processors; results do not depend on it. Raises RigError or UsageError.
+    ``threads``: 0 means all processors; results do not depend on it. ``max_bytes``: of the pictures that are kept; of a
+    longer clip every n-th frame is analysed. Raises RigError or UsageError.
     """
     began = time.perf_counter()
     if not isinstance(rig, Rig):
         rig = open_rig(rig)
     span = frame_span(rig, frames)
-    stats = gather_statistics(rig, holdout=holdout, frames=span, threads=thread_count(threads), on_step=on_step)
+    stats = gather_statistics(
+        rig, holdout=holdout, frames=span, threads=thread_count(threads), on_step=on_step, max_bytes=max_bytes
+    )
     findings = []
     for effect in EFFECTS:
         evidence = effect.evidence(stats)

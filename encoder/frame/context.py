@@ -42,12 +42,16 @@ class Context:
         threads: int,
         device: str = "auto",
         on_loss: OnLoss | None = None,
+        kernel: TrainingKernel | None = None,
     ) -> Context:
-        """Raises UsageError for a device or a method that is not there, or a camera that cannot be compensated."""
+        """Raises UsageError for a device or a method that is not there, or a camera that cannot be compensated.
+
+        ``kernel``: None is the ``device``'s.
+        """
         return cls(
             ingest,
             settings,
-            training_kernel(device, threads, ingest.background or BLACK),
+            kernel or training_kernel(device, threads, ingest.background or BLACK),
             method_of(settings),
             corrector_of(ingest.views, settings.corrections),
             seed,

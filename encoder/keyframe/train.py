@@ -46,22 +46,6 @@ _START_OPACITY, _START_SIGMA_SPACINGS = 0.2, 0.5
 _GUESS_OPACITY, _GUESS_SIGMA_SPACINGS = 0.1, 1.0
 """The same of points that no view confirms, which stand for what is not known: large and faint ones spread over it,
 small and opaque ones leave holes that needles fill."""
-_GROW_BEGIN, _GROW_END = 0.15, 0.6
-"""Shares of the schedule between which Gaussians are added: later ones are not trained to the end."""
-_GROW_GRADIENT = 2e-4
-"""Mean view gradient from which a Gaussian is split (3DGS's)."""
-_PRUNE_OPACITY = 0.005
-"""Below it a Gaussian is removed (3DGS's)."""
-_MAX_STRETCH = 10.0
-"""Largest ratio of a Gaussian's largest to its middle size: needles are wrong from other viewpoints."""
-_PATIENCE_CHECKS = 4
-"""Checks without a new best after which training stops: the score of few tiles is noisy."""
-_RATES = LearningRates(means=4e-4, log_scales=1e-2, quaternions=3e-3, opacity_logits=0.05, sh_dc=1e-2, sh_rest=5e-4)
-"""Step sizes at the start, two to four times 3DGS's: a keyframe has a twentieth of its steps. That of means is in units
-of the rig's extent."""
-_MEANS_DECAY, _LATE_DECAY = 0.05, 0.2
-"""What is left of the step sizes at the end: of positions over the schedule, of all over its second half."""
-
 _CORRECTION_INTERVAL, _CORRECTION_BEGIN, _CORRECTION_END = 0.04, 0.05, 0.6
 """Shares of the schedule: interval, begin and end of the estimates of camera drift. At the end, the scene's depth and
 the poses of rotated cameras are known."""
@@ -80,12 +64,42 @@ _REPORT_EVERY_STEPS = 10
 
 
 @dataclass(frozen=True)
+class Tuning:
+    """What is the same for all keyframes.
+
+    ``grow_begin``, ``grow_end``: shares of the schedule between which Gaussians are added: later ones are not trained
+    to the end. ``grow_gradient``: mean view gradient from which a Gaussian is split, ``prune_opacity``: below which one
+    is removed (both 3DGS's). ``max_stretch``: largest ratio of a Gaussian's largest to its middle size: needles are
+    wrong from other viewpoints. ``patience_checks``: checks without a new best after which training stops: the score of
+    few tiles is noisy. ``rates``: step sizes at the start, two to four times 3DGS's, since a keyframe has a twentieth
+    of its steps; that of means is in units of the rig's extent. ``means_decay``, ``late_decay``: what is left of them
+    at the end, of positions over the schedule and of all over its second half.
+    """
+
+    grow_begin: float = 0.15
+    grow_end: float = 0.6
+    grow_gradient: float = 2e-4
+    prune_opacity: float = 0.005
+    max_stretch: float = 10.0
+    patience_checks: int = 4
+    rates: LearningRates = LearningRates(  # noqa: RUF009 (frozen)
+        means=4e-4, log_scales=1e-2, quaternions=3e-3, opacity_logits=0.05, sh_dc=1e-2, sh_rest=5e-4
+    )
+    means_decay: float = 0.05
+    late_decay: float = 0.2
+
+
+TUNING = Tuning()
+
+
+@dataclass(frozen=True)
 class TrainedKeyframe:
-    """The trained scene, its lattice, and the steps of training."""
+    """The trained scene, its lattice, the steps of training, and the PSNR of the tiles kept back at every check."""
 
     splats: Splats
     lattice: Lattice
     steps: int
+    checks: tuple[float, ...] = ()
 
 
 def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
@@ -123,6 +137,8 @@ def train_keyframe(
     stopping: StoppingRule = WHOLE,
     stage: Stage | None = None,
     alphas: Sequence[FloatArray] = (),
+    fit: PictureFit | None = None,
+    tuning: Tuning = TUNING,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
@@ -131,8 +147,8 @@ def train_keyframe(
     ``stopping``: a target in the whole pictures, but for the tiles kept out of the loss, ends training before the
     settings' iterations; deadlines are for later frames. ``stage``: whose backdrop is there from the start, and whose
     free space stays free. ``alphas``: (H, W) of a subject alone, whose pictures are over the kernel's background; each
-    step sees it over another, so that no Gaussian passes for a background. Raises TrainingError without Gaussians or
-    when the loss stops being finite.
+    step sees it over another, so that no Gaussian passes for a background. ``fit``: None is the one for the pictures'
+    size. Raises TrainingError without Gaussians or when the loss stops being finite.
     """
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(
@@ -147,9 +163,10 @@ def train_keyframe(
         lattice=lattice,
         lattice_scale=lattice_scale,
         stopping=stopping,
-        fit=fit_to_pictures([view.pinhole for view in views], settings),
+        fit=fit or fit_to_pictures([view.pinhole for view in views], settings),
         stage=stage,
         alphas=alphas,
+        tuning=tuning,
     )
     return training.run(on_step)
 
@@ -197,11 +214,12 @@ class _KeyframeTraining:
         fit: PictureFit,
         stage: Stage | None = None,
         alphas: Sequence[FloatArray] = (),
+        tuning: Tuning = TUNING,
     ) -> None:
         self._kernel, self._views, self._random = kernel, views, random
         self._settings = settings = replace(settings, iterations=fit.iterations)
         self._recorded, self._corrector, self._dissimilarity = pictures, corrector, dissimilarity
-        self._lattice, self._lattice_scale = lattice, lattice_scale
+        self._lattice, self._lattice_scale, self._tuning = lattice, lattice_scale, tuning
         self._extent = scene_extent(views) or 1.0
         self._pictures, self._alphas = list(pictures), alphas
         self._counted = counted = [_loss_weights(view, settings.validation_fraction, random) for view in views]
@@ -210,6 +228,7 @@ class _KeyframeTraining:
         self._fit, self._factor = fit, 0
         self._values: list[list[LossValue]] = []
         self._reported_loss = float("nan")
+        self._checks: list[float] = []
         self._set_picture_scale(fit.scales[0].factor)
         self._kept_back = [_validation_pixels(view, c) for view, c in zip(views, counted, strict=True)]
         self._stage = stage
@@ -232,7 +251,7 @@ class _KeyframeTraining:
             seen |= self._stage.on_backdrop(splats.means)
         if not seen.all():
             splats = take_splats(splats, seen)
-        return TrainedKeyframe(splats, lattice, steps)
+        return TrainedKeyframe(splats, lattice, steps, tuple(self._checks))
 
     def _extrapolate_border(self) -> int:
         """Adds Gaussians beside the pictures, where training leaves black; returns how many."""
@@ -272,7 +291,7 @@ class _KeyframeTraining:
         """Trains until schedule, target or stop, which goes back to the best; returns the steps."""
         settings = self._settings
         best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
-        while step < settings.iterations and waited < _PATIENCE_CHECKS and not self._is_good_enough:
+        while step < settings.iterations and waited < self._tuning.patience_checks and not self._is_good_enough:
             for scale in self._fit.scales[1:]:
                 if scale.begin == step:
                     self._set_picture_scale(scale.factor)
@@ -288,6 +307,7 @@ class _KeyframeTraining:
                 and step > settings.iterations // 2
             ):
                 score = self.validation_psnr(step)
+                self._checks.append(score)
                 if score > best:
                     best, waited = score, 0
                     best_optimiser = self._optimiser.copy()
@@ -356,7 +376,7 @@ class _KeyframeTraining:
         gradients = self._kernel.backward(self._optimiser)
         self._view_gradients.add(gradients, camera)
         rates = self._rates(step / self._settings.iterations)
-        self._optimiser.step(gradients, rates, max_stretch=_MAX_STRETCH)
+        self._optimiser.step(gradients, rates, max_stretch=self._tuning.max_stretch)
         self._densify(step)
         return value
 
@@ -440,24 +460,24 @@ class _KeyframeTraining:
 
     def _rates(self, progress: float) -> LearningRates:
         progress, longest = self._fit.rate_progress(progress), self._fit.longer * self._extent
-        rates = _RATES.scaled(_LATE_DECAY ** max(0.0, 2 * progress - 1))
-        return replace(rates, means=_RATES.means * longest * _MEANS_DECAY**progress)
+        rates = self._tuning.rates.scaled(self._tuning.late_decay ** max(0.0, 2 * progress - 1))
+        return replace(rates, means=self._tuning.rates.means * longest * self._tuning.means_decay**progress)
 
     def _densify(self, step: int) -> None:
-        settings, progress = self._settings, step / self._settings.iterations
+        settings, tuning, progress = self._settings, self._tuning, step / self._settings.iterations
         if (step + 1) % _CLEAR_EVERY_STEPS == 0:
             self._clear_free_space()
-        if (step + 1) % settings.grow_every or not _GROW_BEGIN < progress < _GROW_END:
+        if (step + 1) % settings.grow_every or not tuning.grow_begin < progress < tuning.grow_end:
             return
         self._check_finite()
         splats = self._optimiser.splats
-        keep = sigmoid(splats.opacity_logits) >= _PRUNE_OPACITY
+        keep = sigmoid(splats.opacity_logits) >= tuning.prune_opacity
         room = settings.seen_cap - int(keep.sum())
         growth = clone_and_split(
             splats,
             self._view_gradients.mean(),
             keep,
-            threshold=_GROW_GRADIENT,
+            threshold=tuning.grow_gradient,
             room=room,
             large=0.01 * self._extent,
             random=self._random,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, TextIO
 
-from decogs.formats.cli.progress import Progress, open_progress
+from decogs.formats.cli.progress import Pace, Progress, open_progress
 
 from .observer import EncodeObserver
 from .reports import FrameReport
@@ -19,8 +19,8 @@ class TerminalProgress(EncodeObserver):
     figures per frame, elsewhere a line now and then. ``endless``: nobody knows yet how many frames there will be.
     """
 
-    def __init__(self, stream: TextIO | None, *, endless: bool = False) -> None:
-        self._stream, self._endless = stream, endless
+    def __init__(self, stream: TextIO | None, *, endless: bool = False, pace: Pace | None = None) -> None:
+        self._stream, self._endless, self._pace = stream, endless, pace
         self._terminal = stream if stream is not None and stream.isatty() else None
         self._frames, self._asked = 0, range(0)
         self._progress: Progress | None = None
@@ -68,7 +68,7 @@ class TerminalProgress(EncodeObserver):
 
     def _open(self, what: str, unit: str) -> Progress:
         if self._progress is None:
-            self._progress = open_progress(self._stream, what, unit)
+            self._progress = open_progress(self._stream, what, unit, self._pace)
         return self._progress
 
     def _close(self) -> None:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol, TextIO
 
-_SECONDS = 30.0
-"""A line comes after so much time, or after a tenth of the work,"""
-_PAUSE = 2.0
-"""but never sooner than this after the one before it: a short job says nothing."""
+
+@dataclass(frozen=True)
+class Pace:
+    """A line comes after so many ``seconds``, or after a tenth of the work, but never sooner than a ``pause`` after the
+    one before it: a short job says nothing.
+    """
+
+    seconds: float = 30.0
+    pause: float = 2.0
+
+
+_PACE = Pace()
 
 
 class Progress(Protocol):
@@ -28,11 +37,11 @@ class Progress(Protocol):
         """The work is done, or given up."""
 
 
-def open_progress(stream: TextIO | None, what: str, unit: str) -> Progress:
+def open_progress(stream: TextIO | None, what: str, unit: str, pace: Pace | None = None) -> Progress:
     """Progress of ``what``, counted in ``unit`` ("frame"), on ``stream``; silent for None."""
     if stream is None:
         return _Silent()
-    return _Bar(stream, what, unit) if stream.isatty() else Lines(stream, what, unit)
+    return _Bar(stream, what, unit) if stream.isatty() else Lines(stream, what, unit, pace)
 
 
 class _Silent:
@@ -82,15 +91,24 @@ class _Bar:
 class Lines:
     """``frames: 30 of 300 frames, 1:32 elapsed, about 13:48 left``, after every tenth of the work or 30 seconds."""
 
-    def __init__(self, stream: TextIO, what: str, unit: str, *, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        stream: TextIO,
+        what: str,
+        unit: str,
+        pace: Pace | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._stream, self._what, self._unit, self._clock = stream, what, unit, clock
+        self._pace = pace or _PACE
         self._begun = self._said = clock()
         self._tenth = 0
 
     def to(self, done: int, total: int, note: str = "") -> None:
         now = self._clock()
         tenth = 10 * done // total if total else 0
-        if now - self._said >= (_PAUSE if tenth > self._tenth else _SECONDS):
+        if now - self._said >= (self._pace.pause if tenth > self._tenth else self._pace.seconds):
             self._said, self._tenth = now, tenth
             self.write(self._line(done, total, now - self._begun))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, repeat
 
@@ -163,6 +163,7 @@ def _placed_accurately(
     views: Mapping[int, Mapping[int, BoardView]],
     corners: F64,
     footage: Sequence[Footage],
+    place: Callable[..., BoardRig] = place_by_board,
 ) -> tuple[BoardRig, dict[int, str]]:
     """Cameras placed by the board, without those whose error is too large: the worst is left out, the rest placed anew.
 
@@ -170,7 +171,7 @@ def _placed_accurately(
     """
     left_out: dict[int, str] = {}
     while True:
-        rig = place_by_board({number: lenses[number] for number in lenses if number not in left_out}, views, corners)
+        rig = place({number: lenses[number] for number in lenses if number not in left_out}, views, corners)
         excess = {number: error / (MAX_ERROR * footage[number].size[0]) for number, error in rig.errors.items()}
         worst = max(excess, key=lambda number: excess[number], default=None)
         if worst is None or excess[worst] <= 1:

@@ -43,10 +43,10 @@ Freedom = Literal["focal", "lens", "centre"]
 """What of a lens the adjustment chose: its focal length; its bends, too; its principal point, too."""
 
 
-def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
+def focal_deviations(model: Any, freedom: Freedom, centre: float = _CENTRE) -> dict[int, float]:
     """Standard deviation of each image's focal length, as its share, by the image's number in a pycolmap model.
 
-    With ``lens``, the principal point, which the adjustment held in the middle, may be off it by what is usual.
+    With ``lens``, the principal point, which was held in the middle, may be off it by ``centre`` widths at least.
     Infinite where the points leave the lenses open, and for images without points.
     """
     unknown = dict.fromkeys(sorted(model.reg_image_ids()), float(np.inf))
@@ -66,9 +66,9 @@ def focal_deviations(model: Any, freedom: Freedom) -> dict[int, float]:
     try:
         normal = _reduced(sights, columns, count, len(places)) / variance
         if freedom == "lens":
-            widths = {centre: lenses[image].width for image in images for centre in columns[image][-2:].tolist()}
+            widths = {at: lenses[image].width for image in images for at in columns[image][-2:].tolist()}
             centres, across = np.array(list(widths)), np.array(list(widths.values()), np.float64)
-            normal[centres, centres] += (_off_middle(normal, kept, centres, across) * across) ** -2.0
+            normal[centres, centres] += (_off_middle(normal, kept, centres, across, centre) * across) ** -2.0
         scale = 1 / np.sqrt(np.maximum(normal.diagonal()[kept], 1e-30))
         root = np.linalg.cholesky(normal[np.ix_(kept, kept)] * scale * scale[:, None])
     except np.linalg.LinAlgError:
@@ -150,8 +150,8 @@ def _reduced(sights: Mapping[int, _Sights], columns: Mapping[int, I64], count: i
     return np.asarray(normal - np.tensordot(solved, across, axes=((0, 2), (0, 2))))
 
 
-def _off_middle(normal: F64, kept: I64, centres: I64, widths: F64) -> float:
-    """How far lenses' ``centres`` are off the middle of pictures of these ``widths``: in widths, a standard deviation.
+def _off_middle(normal: F64, kept: I64, centres: I64, widths: F64, least: float) -> float:
+    """How far lenses' ``centres`` are off the middle of pictures of these ``widths``: a standard deviation, in widths.
 
     With the other unknowns solved for, the residuals' gradient by the centres has the variance of their information
     and, where they are off, its square times the deviation's. The likeliest one is taken (empirical Bayes).
@@ -165,6 +165,6 @@ def _off_middle(normal: F64, kept: I64, centres: I64, widths: F64) -> float:
     information, directions = np.linalg.eigh(left[:-1, :-1] * widths * widths[:, None])
     information = np.maximum(information, _LEAST_PIVOT * information[-1])  # a turn makes up for what all share
     gradient = directions.T @ (left[:-1, -1] * widths)
-    deviations = np.geomspace(_CENTRE, _MAX_CENTRE, 60)
+    deviations = np.geomspace(least, _MAX_CENTRE, 60)
     variances = information + (deviations[:, None] * information) ** 2
     return float(deviations[(np.log(variances) + gradient**2 / variances).sum(axis=1).argmin()])

@@ -94,6 +94,7 @@ def gather_statistics(
     frames: range | None = None,
     threads: int = 0,
     on_step: OnProgress = lambda done, total: None,
+    max_bytes: int = MAX_BYTES,
 ) -> RigStatistics:
     """Measures the frames (default: all) of every camera except the held-out ones.
 
@@ -103,7 +104,7 @@ def gather_statistics(
     """
     cameras, scales = _small_cameras(rig, holdout)
     span = range(rig.frame_count) if frames is None else frames
-    chosen = _thin(span, cameras)
+    chosen = _thin(span, cameras, max_bytes)
     steps = _Steps(len(chosen) + 2 * len(cameras), on_step)
     names, unread = [camera.name for camera in cameras], np.zeros((len(cameras), len(chosen)), bool)
     damage: dict[str, str] = {}
@@ -186,10 +187,10 @@ def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...]
     return tuple(scale_camera(camera, scale) for camera, scale in zip(kept, scales, strict=True)), scales
 
 
-def _thin(span: range, cameras: Sequence[Camera]) -> range:
-    """Every n-th frame, so that the pictures of all cameras fit MAX_BYTES; two frames at least."""
+def _thin(span: range, cameras: Sequence[Camera], max_bytes: int) -> range:
+    """Every n-th frame, so that the pictures of all cameras fit; two frames at least."""
     frame_bytes = sum(camera.width * camera.height * 3 for camera in cameras)
-    most = max(2, MAX_BYTES // frame_bytes)
+    most = max(2, max_bytes // frame_bytes)
     return span[:: math.ceil(len(span) / most)]
 
 

@@ -33,35 +33,38 @@ _MAX_DEVIATION_RATIO = 2.0
 """Ratio of a difference's deviation to its noise from which on most of the picture has changed."""
 
 
-def frame_noise(current: FloatArray, previous: FloatArray, negligible: float = 0.0) -> float:
+def frame_noise(
+    current: FloatArray, previous: FloatArray, negligible: float = 0.0, samples: int = _SAMPLE_COUNT
+) -> float:
     """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, robust to motion.
 
     Both (3, H, W). 0 if most of the picture has changed, which leaves noise undetermined.
-    ``negligible``: deviation below which the result may be too large.
+    ``negligible``: deviation below which the result may be too large. ``samples``: values that suffice.
     """
-    deviation = _robust_deviation(_sample(current) - _sample(previous))
+    deviation = _robust_deviation(_sample(current, samples) - _sample(previous, samples))
     if deviation <= negligible:
         return deviation
-    return deviation if deviation <= _MAX_DEVIATION_RATIO * math.sqrt(2) * picture_noise(previous, current) else 0.0
+    noise = picture_noise(previous, current, samples)
+    return deviation if deviation <= _MAX_DEVIATION_RATIO * math.sqrt(2) * noise else 0.0
 
 
-def picture_noise(before: FloatArray, now: FloatArray) -> float:
+def picture_noise(before: FloatArray, now: FloatArray, samples: int = _SAMPLE_COUNT) -> float:
     """Deviation of one picture by noise, in 8-bit levels, from two, (H, W) or (C, H, W), 0..1."""
     planes = [picture if picture.ndim == 3 else picture[None] for picture in (before, now)]
-    detail: FloatArray = np.stack([_laplacian(*pair) for pair in zip(*planes, strict=True)])
-    from_neighbours = _robust_deviation(_sample(detail)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
+    detail: FloatArray = np.stack([_laplacian(one, two, samples) for one, two in zip(*planes, strict=True)])
+    from_neighbours = _robust_deviation(_sample(detail, samples)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
     across = _deviation_across_light(*planes)
     return from_neighbours if from_neighbours <= _MAX_NOISE_RATIO * across else across
 
 
-def _sample(values: FloatArray) -> FloatArray:
+def _sample(values: FloatArray, count: int) -> FloatArray:
     """Every seventh value, fewer of large pictures."""
-    return values.ravel()[:: max(_SAMPLE_STRIDE, values.size // _SAMPLE_COUNT)]
+    return values.ravel()[:: max(_SAMPLE_STRIDE, values.size // count)]
 
 
-def _laplacian(before: FloatArray, now: FloatArray) -> FloatArray:
+def _laplacian(before: FloatArray, now: FloatArray, samples: int) -> FloatArray:
     """How the difference of two planes (H, W) differs from the mean of its neighbours, in all rows or in enough."""
-    stride = before.size // (2 * _SAMPLE_COUNT)
+    stride = before.size // (2 * samples)
     if stride < 2:
         return np.asarray(cv2.filter2D(now - before, -1, _LAPLACIAN), np.float32)
     # Each row between its neighbours; what is filtered around these is of no use.

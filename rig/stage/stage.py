@@ -137,10 +137,11 @@ class PlainRoom(BackdropStage):
         return replace(self, hull=Hull([_subject_view(*each) for each in seen]))
 
 
-def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
+def find_stage(views: Sequence[View], frame: RigFrame, least_span: float = _MIN_SPAN_DEGREES) -> Stage | None:
     """The stage in the first ``frame`` of ``views``: of a subject with mattes, or before plain walls; None for others.
 
-    Enough cameras stand over a wide enough arc, and the median picture is mostly plain, or its upper part is.
+    Enough cameras stand over a wide enough arc, of ``least_span`` degrees, and the median picture is mostly plain, or
+    its upper part is.
     """
     if frame.alpha:
         return subject_alone(views, frame.alpha)
@@ -149,10 +150,10 @@ def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
         return None
     seen = [stage_view(*each) for each in zip(views, frame.training, strict=True)]
     plain = [plain_pixels(view.picture) & view.recorded for view in seen]
-    return _plain_stage(seen, plain) if share >= _MIN_PLAIN_SHARE else _plain_room(seen, plain)
+    return _plain_stage(seen, plain, least_span) if share >= _MIN_PLAIN_SHARE else _plain_room(seen, plain)
 
 
-def _plain_stage(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainStage | None:
+def _plain_stage(seen: Sequence[StageView], plain: Sequence[BoolArray], least_span: float) -> PlainStage | None:
     """The stage whose floor and walls are ``plain``."""
     plates = [plate_of(view.picture, mask) for view, mask in zip(seen, plain, strict=True)]
     subjects = [_subject_view(*each) for each in zip(seen, plates, strict=True)]
@@ -161,7 +162,7 @@ def _plain_stage(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> Plain
         for subject, mask, plate in zip(subjects, plain, plates, strict=True)
     ]
     surfaces = find_surfaces(backdrops)
-    if _span(surfaces, seen) < _MIN_SPAN_DEGREES:
+    if _span(surfaces, seen) < least_span:
         return None
     spacing = _spacing(surfaces)
     xyz, normals = surfaces.points(spacing)

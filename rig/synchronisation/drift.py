@@ -23,16 +23,25 @@ from .motion import starts_by_motion
 from .small import MAX_FRAMES, small_camera, small_clip
 from .sound import starts_by_sound
 
-MIN_SECONDS = 60.0
-"""Of the common span; before, clocks have not run apart: 200 in a million are .36 frames of 30 a second."""
-_LISTENED = 20.0
-"""Seconds at either end of which sounds are compared."""
 _NOTICED = 0.5
 """Frames that a clock must lose to be named: whole frames are then wrong at one end."""
 _SURE = 2.0
 """Standard errors that this must be, too."""
 _MIN_VOTES = 0.7
 """As for starts (`starts.known`)."""
+
+
+@dataclass(frozen=True)
+class Ends:
+    """What is compared of a take: at either end so many frames that are ``watched`` and seconds ``listened`` to.
+
+    ``least``: seconds of the common span; before, clocks have not run apart: 200 in a million are .36 frames of 30 a
+    second.
+    """
+
+    least: float = 60.0
+    watched: int = MAX_FRAMES
+    listened: float = 20.0
 
 
 @dataclass(frozen=True)
@@ -48,17 +57,17 @@ class Drift:
         return 1 + self.frames / self.between
 
 
-def find_drifts(rig: Rig, starts: Mapping[str, RigTime], each: Each) -> dict[str, Drift]:
+def find_drifts(rig: Rig, starts: Mapping[str, RigTime], each: Each, ends: Ends) -> dict[str, Drift]:
     """The cameras whose clocks run apart from most others', of recordings whose ``starts`` are known.
 
     Empty where the common span is short, or nothing tells.
     """
     common = in_step(rig, starts)
-    if common.timeline.rate is None or common.frame_count < max(MIN_SECONDS * common.timeline.rate, 2 * MAX_FRAMES):
+    if common.timeline.rate is None or common.frame_count < max(ends.least * common.timeline.rate, 2 * ends.watched):
         return {}
     found: dict[str, Drift] = {}
-    listened = round(_LISTENED * common.timeline.rate)
-    for way, window in ((_by_motion, MAX_FRAMES), (_by_sound, listened)):  # what sound says counts more
+    listened = round(ends.listened * common.timeline.rate)
+    for way, window in ((_by_motion, ends.watched), (_by_sound, listened)):  # what sound says counts more
         between = common.frame_count - window
         begin, end = (way(common, range(at, at + window), each) for at in (0, between))
         found |= dict(_apart(common, begin, end, between))

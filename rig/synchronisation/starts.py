@@ -24,7 +24,7 @@ from decogs.formats.system.callbacks import OnProgress
 from decogs.formats.videos.reading import VideoSource
 
 from ..parallel import Each, side_by_side
-from .drift import find_drifts, warnings_of
+from .drift import Ends, find_drifts, warnings_of
 from .joint import Joint
 from .motion import starts_by_motion
 from .small import MAX_FRAMES, small_camera, small_clip, small_grey
@@ -48,6 +48,7 @@ _SCATTER = 0.65
 frame late .74 and more, unless all light flickers, though none of them may be found .4 off."""
 _CONTRADICTED = 1.5
 """Frames between what two ways say of a camera from which one of them is wrong."""
+_ENDS = Ends()
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,12 @@ class Synchrony:
         return {camera.name: RigTime(camera.offset) for camera in self.cameras if camera.offset is not None}
 
 
-def find_starts(rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done, total: None) -> Synchrony:
+def find_starts(
+    rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done, total: None, ends: Ends = _ENDS
+) -> Synchrony:
     """Finds when each camera of a rig's whole recordings starts; results do not depend on ``threads``.
 
+    ``ends``: of the take, where clocks that run apart show.
     Raises RigError for what cannot be read, or for rates that have no common one.
     """
     cameras, total = rig.cameras, 2 * len(rig.cameras)
@@ -100,7 +104,7 @@ def find_starts(rig: Rig, *, threads: int = 0, on_step: OnProgress = lambda done
         moved = starts_by_motion(small, clips, each, lambda done: on_step(len(cameras) + done, total))
         found, warnings = _without_pictures(rig, sounds)
         together = joined(names, rig.timeline.rate, [*found, (MOTION, whole_if_in_step(moved))])
-        drifts = find_drifts(rig, together.starts, each) if together.starts else {}
+        drifts = find_drifts(rig, together.starts, each, ends) if together.starts else {}
     return replace(together, warnings=(*warnings, *together.warnings, *warnings_of(drifts, rig.timeline)))
 
 

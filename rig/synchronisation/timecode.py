@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
@@ -47,13 +48,15 @@ class _Stamp:
         return self.timecode.day(self.per_second) * self.number
 
 
-def starts_by_timecode(rig: Rig) -> tuple[Joint, tuple[str, ...]]:
+def starts_by_timecode(
+    rig: Rig, read: Callable[[Path], Timecode | None] = read_timecode
+) -> tuple[Joint, tuple[str, ...]]:
     """The starts of a rig's recordings, NaN for those without timecode, and what the user should know of it.
 
     Timecodes that all begin an hour were written by an editor, and say nothing. Those that leave numbers out and those
     that do not run apart: the kind that most cameras have is taken. No timecode is taken whose rate is not sure.
     """
-    stamps = list(_stamps(rig))
+    stamps = list(_stamps(rig, read))
     warnings = list(_unsure(stamps))
     known = [stamp for stamp in stamps if stamp.count is not None]
     if all(stamp.timecode.is_full_hour for stamp in stamps):
@@ -73,11 +76,11 @@ def starts_by_timecode(rig: Rig) -> tuple[Joint, tuple[str, ...]]:
     return Joint(starts, errors, np.isfinite(starts).astype(np.float64)), tuple(warnings)
 
 
-def _stamps(rig: Rig) -> Iterator[_Stamp]:
+def _stamps(rig: Rig, read: Callable[[Path], Timecode | None]) -> Iterator[_Stamp]:
     """The timecodes of the cameras that have one; what counts every frame of one camera does so in all of its rate."""
     found = []
     for camera, source in zip(rig.cameras, rig.sources, strict=True):
-        timecode = read_timecode(source.path) if isinstance(source, VideoSource) else None
+        timecode = read(source.path) if isinstance(source, VideoSource) else None
         if timecode is not None and source.fps is not None and source.frame_count > 1:
             found.append((camera.name, timecode, source.fps))
     for name, timecode, fps in found:

@@ -18,7 +18,6 @@ import pytest
 import torch
 from torch import Tensor
 
-import decogs.encoder.frame.context as context
 import gradient_twin
 import rasterise_cases as cases
 from cuda_cases import (
@@ -151,18 +150,14 @@ def test_the_difference_of_gsplats_largest_alpha_is_as_stated() -> None:
 
 
 @pytest.mark.slow
-def test_a_whole_encode_runs_on_it(
-    backend: Backend, encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_whole_encode_runs_on_it(backend: Backend, encode: Any, moving_rig: Path, tiny_settings: Any) -> None:
     """Keyframe and a later frame, cache included. Roundings grow as training goes on (seen: 0.01 dB)."""
-    monkeypatch.setattr(context, "training_kernel", lambda device, threads, background: backend.make())
     settings = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=14, cap=400, grow_every=6, settle_iterations=4),
         frame=replace(tiny_settings.frame, joint_iterations=4),
     )
-    encoded = encode(moving_rig, settings=settings, stop=2)
-    monkeypatch.undo()
+    encoded = encode(moving_rig, settings=settings, stop=2, kernel=backend.make())
     native = encode(moving_rig, settings=settings, stop=2)
     for ours, theirs in zip(encoded.report.frames, native.report.frames, strict=True):
         assert ours.kind == theirs.kind

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ import pytest
 from decogs.codec.scene.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder.analysis import EffectChoice
-from decogs.encoder.keyframe import harmonics
 from decogs.encoder.keyframe.harmonics import MIN_SH_SHARE, trim_sh_degree
 from encode_rig import encode_rig as encode
 
@@ -56,14 +56,14 @@ def test_only_auto_asks_the_keyframe(
     tiny_rig: Any,
     tiny_settings: Any,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     effects: EffectChoice,
     degree: int,
 ) -> None:
-    """Were all of the tiny rig's harmonics too few. An encode cut off goes on with the degree it began with."""
-    monkeypatch.setattr(harmonics, "MIN_SH_SHARE", 2.0)
+    """Where harmonics are hardly trained, none is worth its bytes. An encode cut off goes on with its degree."""
     output, again = tmp_path / "scene.dgs", tmp_path / "again.dgs"
-    options = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "effects": effects}
+    keyframe = tiny_settings.keyframe
+    flat = replace(tiny_settings, keyframe=replace(keyframe, rates=replace(keyframe.rates, sh_rest=1e-9)))
+    options = {"holdout": [tiny_rig.held_out], "settings": flat, "effects": effects}
     encode(moving_rig, output, **options)
     with open_stream(output) as stream:
         assert stream.header.sh_degree == degree

@@ -18,11 +18,11 @@ from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.optimiser import drawn_splats
 from decogs.encoder.backends.cpu.stretch import stretches
 from decogs.encoder.backends.psnr import mean_psnr, psnr_of
-from decogs.encoder.keyframe import train as keyframe
 from decogs.encoder.keyframe.first_points import FirstPoints
 from decogs.encoder.keyframe.large_pictures import PictureFit, PictureScale
 from decogs.encoder.keyframe.train import (
-    _KeyframeTraining,
+    TUNING,
+    Tuning,
     splats_from_points,
     train_keyframe,
 )
@@ -72,8 +72,19 @@ def first_points(xyz: np.ndarray, rgb: np.ndarray, spacing: np.ndarray) -> First
     return FirstPoints(xyz, rgb, spacing, everywhere.astype(np.float32), everywhere[None], everywhere)
 
 
-def trained(case: Case, settings: KeyframeSettings = SHORT, *, seed: int = 0, first: FirstPoints | None = None) -> Any:
-    return train_keyframe(CpuKernel(2), case.views, case.pictures, first or points(), settings, seed=seed)
+def trained(
+    case: Case,
+    settings: KeyframeSettings = SHORT,
+    *,
+    seed: int = 0,
+    first: FirstPoints | None = None,
+    kernel: CpuKernel | None = None,
+    **tuning: Any,
+) -> Any:
+    return train_keyframe(
+        kernel or CpuKernel(2), case.views, case.pictures, first or points(), settings, seed=seed,
+        tuning=Tuning(**tuning),
+    )  # fmt: skip
 
 
 def equal_bits(first: Splats, second: Splats) -> bool:
@@ -110,38 +121,33 @@ def test_the_same_seed_gives_the_same_bits_and_another_does_not(case: Case) -> N
     assert not equal_bits(first, other)
 
 
-def test_growth_respects_the_cap(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keyframe, "_GROW_GRADIENT", 0.0)
+def test_growth_respects_the_cap(case: Case) -> None:
     eager = replace(SHORT, cap=430)
-    grown = trained(case, eager)
-    assert 400 < len(grown.splats) <= 430
-    assert len(trained(case, replace(eager, surroundings=0.5)).splats) <= 430, "with those beside the pictures"
-    assert len(trained(case, replace(eager, grow_every=1000)).splats) <= 400
+
+    def count(settings: KeyframeSettings) -> int:
+        return len(trained(case, settings, grow_gradient=0.0).splats)
+
+    assert 400 < count(eager) <= 430
+    assert count(replace(eager, surroundings=0.5)) <= 430, "with those beside the pictures"
+    assert count(replace(eager, grow_every=1000)) <= 400
 
 
-def test_transparent_gaussians_are_pruned(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_transparent_gaussians_are_pruned(case: Case) -> None:
     # Opacity starts at 0.2; at 100 % every Gaussian is below the limit, which cannot end well and is said so.
-    monkeypatch.setattr(keyframe, "_GROW_GRADIENT", 1e9)
-    monkeypatch.setattr(keyframe, "_PRUNE_OPACITY", 1.0)
     with pytest.raises(TrainingError, match="every Gaussian became transparent"):
-        trained(case)
-    monkeypatch.setattr(keyframe, "_PRUNE_OPACITY", 0.1)
-    pruned = trained(case)
-    monkeypatch.setattr(keyframe, "_PRUNE_OPACITY", 0.0)
-    assert 0 < len(pruned.splats) < len(trained(case).splats)
+        trained(case, grow_gradient=1e9, prune_opacity=1.0)
+    pruned, kept = (trained(case, grow_gradient=1e9, prune_opacity=opacity) for opacity in (0.1, 0.0))
+    assert 0 < len(pruned.splats) < len(kept.splats)
 
 
-def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(
-    tmp_path: Path, tiny_rig: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(tmp_path: Path, tiny_rig: Any) -> None:
     case = case_of(tiny_rig.write(tmp_path / "noisy", frames=[0], noise=40.0), ["cam01", "cam03"])
     assert len(case.views) == 3
     settings = replace(SHORT, iterations=500, cap=2000, validation_fraction=0.1)
     stopped = trained(case, settings, first=points(2000))
-    # Checks begin past the middle; the best state is kept, so the stop comes _PATIENCE checks after it at least.
-    assert stopped.steps >= 250 + keyframe._PATIENCE_CHECKS * settings.validation_every
-    monkeypatch.setattr(keyframe, "_PATIENCE_CHECKS", 10**6)
-    to_the_end = trained(case, settings, first=points(2000))
+    # Checks begin past the middle; the best state is kept, so the stop comes so many checks after it at least.
+    assert stopped.steps >= 250 + TUNING.patience_checks * settings.validation_every
+    to_the_end = trained(case, settings, first=points(2000), patience_checks=10**6)
     assert stopped.steps < to_the_end.steps == 500
     kernel = CpuKernel(2)
     fitted = [mean_psnr(kernel, result.splats, case.views, case.pictures) for result in (stopped, to_the_end)]
@@ -152,47 +158,53 @@ def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(
     assert held_out[0] > held_out[1], "and the views not trained on worse"
 
 
-def test_an_early_stop_goes_back_to_the_best_state(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+class Worsening(CpuKernel):
+    """Shows the tiles kept back darker at every check, and notes the positions checked."""
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        self._is_checking = False
+        self.checked: list[np.ndarray] = []
+
+    def forward(self, splats: Drawable, camera: Any, *background: Any, **options: Any) -> Any:
+        picture = super().forward(splats, camera, *background, **options)
+        was_checking, self._is_checking = self._is_checking, not background and "sh_degree" in options
+        if not self._is_checking:
+            return picture  # of a step of training, or of what is seen when it is over
+        if not was_checking:
+            self.checked.append(drawn_splats(splats).means.copy())
+        return replace(picture, rgb=picture.rgb * np.float32(0.5 ** len(self.checked)))
+
+
+def test_an_early_stop_goes_back_to_the_best_state(case: Case) -> None:
     """The tiles kept back are shown best at the first check; what was trained after it is undone."""
-    states: list[np.ndarray] = []
-
-    def scored(self: _KeyframeTraining, step: int) -> float:
-        states.append(self._optimiser.splats.means.copy())
-        return -float(len(states))
-
-    monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
-    monkeypatch.setattr(keyframe, "_PATIENCE_CHECKS", 1)
-    result = trained(case, replace(SHORT, validation_every=10, settle_iterations=0))
-    assert (result.steps < SHORT.iterations, len(states)) == (True, 2)
-    best, later = ({row.tobytes() for row in state} for state in states)
+    kernel = Worsening()
+    settings = replace(SHORT, validation_every=10, settle_iterations=0)
+    result = trained(case, settings, kernel=kernel, patience_checks=1)
+    assert (result.steps < SHORT.iterations, len(kernel.checked)) == (True, 2)
+    best, later = ({row.tobytes() for row in means} for means in kernel.checked)
     kept = {row.tobytes() for row in result.splats.means}
     assert kept <= best
     assert len(kept & later) < len(kept) / 2, "what no camera sees stays where it is"
 
 
-def test_an_early_stop_goes_back_over_growth_and_settles(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_early_stop_goes_back_over_growth_and_settles(case: Case) -> None:
     """The best state has fewer Gaussians than the last one; it ended in a traceback."""
-    counts: list[int] = []
-
-    def scored(self: _KeyframeTraining, step: int) -> float:
-        counts.append(len(self._optimiser.splats))
-        return -float(len(counts))
-
-    monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
-    for name, value in (("_PATIENCE_CHECKS", 1), ("_GROW_END", 1.0), ("_GROW_GRADIENT", 0.0)):
-        monkeypatch.setattr(keyframe, name, value)
+    kernel = Worsening()
     growing = replace(SHORT, validation_every=10, cap=10_000)
-    result = trained(case, growing)
-    assert counts[0] < counts[1]
-    assert len(result.splats) <= counts[0]
+    result = trained(case, growing, kernel=kernel, patience_checks=1, grow_end=1.0, grow_gradient=0.0)
+    best, later = map(len, kernel.checked)
+    assert best < later
+    assert len(result.splats) <= best
 
 
-def test_a_target_counts_in_pictures_of_their_own_size(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_target_counts_in_pictures_of_their_own_size(case: Case) -> None:
     """Shrunk ones are easier: a target that any scene reaches ends training once all views have had their own size."""
     fit = PictureFit(60, (PictureScale(0, 4), PictureScale(20, 2), PictureScale(40, 1)), 400, 1.0)
-    monkeypatch.setattr(keyframe, "fit_to_pictures", lambda *_: fit)
     stopping = StoppingRule(target_psnr=1.0)
-    result = train_keyframe(CpuKernel(2), case.views, case.pictures, points(), SHORT, seed=0, stopping=stopping)
+    result = train_keyframe(
+        CpuKernel(2), case.views, case.pictures, points(), SHORT, seed=0, stopping=stopping, fit=fit
+    )
     assert result.steps == 40 + len(case.views)
 
 
@@ -262,12 +274,11 @@ def moves(drawn: list[np.ndarray]) -> np.ndarray:
 STEADY = replace(SHORT, validation_fraction=0.0, grow_every=1000)
 
 
-def test_positions_go_ever_shorter_ways(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_positions_go_ever_shorter_ways(case: Case) -> None:
     ways = {}
     for decay in (0.05, 1.0):
-        monkeypatch.setattr(keyframe, "_MEANS_DECAY", decay)
-        kernel, settings = Watching(), replace(STEADY, settle_iterations=0)
-        train_keyframe(kernel, case.views, case.pictures, points(), settings, seed=0)
+        kernel = Watching()
+        trained(case, replace(STEADY, settle_iterations=0), kernel=kernel, means_decay=decay)
         way = moves(kernel.means[:60])
         ways[decay] = way[-10:].mean() / way[:10].mean()
     # Over the last ten of 60 steps the rate is .05 to the power of 10 / 12 of the first ones', .08 of it.
@@ -282,16 +293,8 @@ def test_sizes_are_learned_for_a_third_of_the_settling_and_positions_for_two(cas
     assert last == [10, 20], "the last change is the one to the nearest point of the lattice"
 
 
-def test_pixels_that_were_not_recorded_never_matter(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pixels_that_were_not_recorded_never_matter(case: Case) -> None:
     """Neither to what is trained nor to when it stops."""
-    scores: list[float] = []
-    score = _KeyframeTraining.validation_psnr
-
-    def scored(self: _KeyframeTraining, step: int) -> float:
-        scores.append(score(self, step))
-        return scores[-1]
-
-    monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
     valid = np.ones((case.views[0].pinhole.height, case.views[0].pinhole.width), np.float32)
     valid[:, :9] = 0
     views = [replace(case.views[0], valid=valid), *case.views[1:]]
@@ -301,8 +304,8 @@ def test_pixels_that_were_not_recorded_never_matter(case: Case, monkeypatch: pyt
     clean = trained(masked)
     dirty = trained(replace(masked, pictures=[poisoned, *case.pictures[1:]]))
     assert equal_bits(clean.splats, dirty.splats)
-    assert len(scores) == 2 * 2
-    assert scores[:2] == scores[2:]
+    assert len(clean.checks) == 2
+    assert clean.checks == dirty.checks
     seen = trained(replace(case, pictures=[poisoned, *case.pictures[1:]]))
     assert not equal_bits(trained(case).splats, seen.splats), "the same pixels do matter where they were recorded"
 
@@ -364,12 +367,12 @@ def test_all_but_opacities_end_on_the_lattice_one_after_the_other(case: Case) ->
 
 
 def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(
-    case: Case, monkeypatch: pytest.MonkeyPatch
+    case: Case,
 ) -> None:
     points: dict[float, Attributes] = {}
-    monkeypatch.setattr(keyframe, "_RATES", replace(keyframe._RATES, sh_rest=0.02))
+    rates = replace(TUNING.rates, sh_rest=0.02)
     for rd_lambda in (0.0, 10.0, 1e9):
-        result = trained(case, replace(SHORT, rd_lambda=rd_lambda))
+        result = trained(case, replace(SHORT, rd_lambda=rd_lambda), rates=rates)
         points[rd_lambda] = quantise(result.splats, result.lattice)
         for name in ("quaternions", "sh"):
             on_lattice = dequantise(points[rd_lambda], result.lattice)
@@ -381,11 +384,10 @@ def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(
         assert kinds[0] > kinds[1] > kinds[2] == 1, "where no bit is worth it, each channel's commonest is left"
 
 
-def test_no_gaussian_is_longer_than_the_limit_on_stretch(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_gaussian_is_longer_than_the_limit_on_stretch(case: Case) -> None:
     longest = {}
     for max_stretch in (0.0, 1.1):
-        monkeypatch.setattr(keyframe, "_MAX_STRETCH", max_stretch)
-        result = trained(case)
+        result = trained(case, max_stretch=max_stretch)
         longest[max_stretch] = np.exp(stretches(result.splats.log_scales).max())
     # Two sizes are each rounded by half a step of the lattice after training.
     assert longest[1.1] <= 1.1 * np.exp(result.lattice.log_scales) * (1 + 1e-5)

@@ -30,7 +30,6 @@ from decogs.decoder.reading.frame import DecodedFrame
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
 from decogs.encoder import PRESETS
-from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.formats.errors import TrainingError, UsageError
@@ -38,6 +37,7 @@ from decogs.formats.rigs import open_rig
 from decogs.formats.stream.container import PacketKind, StreamWriter
 from decogs.formats.system.kernels import INSTRUCTION_SETS, best_instruction_set
 from decogs.rig.pictures.ingest import frame_span
+from noting_kernel import NotingKernel
 
 ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
@@ -290,6 +290,7 @@ CHILD = """
 import hashlib, importlib.util, sys
 from pathlib import Path
 
+sys.path.append(str(Path(sys.argv[1]).parents[1]))
 specification = importlib.util.spec_from_file_location("encoder_conftest", sys.argv[1])
 module = importlib.util.module_from_spec(specification)
 sys.modules["encoder_conftest"] = module
@@ -327,20 +328,13 @@ def test_a_still_scene_is_skips_after_the_keyframe(still: Any) -> None:
     assert all(report.selected == 0 for report in still.report.frames[1:])
 
 
-def test_a_frame_without_changes_costs_its_masks_and_nothing_else(
-    encode: Any, still_rig: Path, still: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def never(*_: Any, **__: Any) -> None:
-        raise AssertionError("a still frame was drawn, weighed, trained or committed")
-
-    for name in ("detach", "draw", "backward", "commit"):
-        monkeypatch.setattr(CpuFixedView, name, never)
-    redrawn: list[object] = []
-    redraw = CpuFixedView.redraw
-    monkeypatch.setattr(CpuFixedView, "redraw", lambda view, *a: (redrawn.append(view), redraw(view, *a))[1])
-    again = encode(still_rig, keyframe=still.path)
+def test_a_frame_without_changes_costs_its_masks_and_nothing_else(encode: Any, still_rig: Path, still: Any) -> None:
+    kernel = NotingKernel()
+    again = encode(still_rig, keyframe=still.path, kernel=kernel)
     assert [set(report.seconds) for report in again.report.frames[1:]] == [{"masks", "write", "measure"}] * 3
-    assert len(redrawn) == len(set(map(id, redrawn))), "for the keyframe, and never again"
+    assert kernel.done, "or this test shows nothing"
+    once = {("redraw", camera) for camera in kernel.viewed}
+    assert sorted(kernel.done) == sorted(once), "for the keyframe, and never again"
 
 
 @pytest.mark.slow

@@ -97,8 +97,16 @@ def test_the_estimate_grows_with_all_that_takes_memory(moving_rig: Path, tiny_se
     assert all(less < usual for less in (estimate(holdout=("cam01",)), estimate(frames=1)))
 
 
+@pytest.fixture
+def used(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """A 1 for every time that frames are read ahead."""
+    found, ahead = [], stream_encoder.ahead
+    monkeypatch.setattr(stream_encoder, "ahead", lambda frames: found.append(1) or ahead(frames))
+    return found
+
+
 def test_where_memory_is_tight_nothing_is_read_ahead_and_the_stream_is_the_same(
-    moving_rig: Path, tiny_settings: EncodeSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    moving_rig: Path, tiny_settings: EncodeSettings, tmp_path: Path, used: list[int]
 ) -> None:
     given = {"gaussians": 0, "frames": 4, "threads": 2}
     ingest = Ingest(open_rig(moving_rig))
@@ -109,8 +117,6 @@ def test_where_memory_is_tight_nothing_is_read_ahead_and_the_stream_is_the_same(
     with pytest.raises(UsageError, match=r"`max_memory`: 5 cameras of up to 64x48 and 1200 Gaussians may need \d+M, m"):
         memory_within(ingest, tiny_settings, tight.size - 1, **given)
 
-    used, ahead = [], stream_encoder.ahead
-    monkeypatch.setattr(stream_encoder, "ahead", lambda frames: used.append(1) or ahead(frames))
     for name, limit, expected in (("ample", ample.size, 1), ("tight", tight.size, 0)):
         used.clear()
         encode_rig(moving_rig, tmp_path / name, tiny_settings, threads=2, max_memory=limit)
@@ -119,12 +125,10 @@ def test_where_memory_is_tight_nothing_is_read_ahead_and_the_stream_is_the_same(
 
 
 def test_a_part_keeps_to_the_limit_as_well(
-    moving_rig: Path, tiny_settings: EncodeSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    moving_rig: Path, tiny_settings: EncodeSettings, tmp_path: Path, used: list[int]
 ) -> None:
     closed = replace(tiny_settings, segment=2, closed=True)
     ample = memory_within(Ingest(open_rig(moving_rig)), closed, None, gaussians=0, frames=4, threads=2)
-    used, ahead = [], stream_encoder.ahead
-    monkeypatch.setattr(stream_encoder, "ahead", lambda frames: used.append(1) or ahead(frames))
     for name, limit, expected in (("ample", ample.size, 1), ("tight", ample.size - 1, 0)):
         used.clear()
         given = {"only": slice(0, 2), "segment": 2, "closed": True, "threads": 2}

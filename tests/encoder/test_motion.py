@@ -1,11 +1,15 @@
-"""The last displacement of a neighbourhood: medians over the nearest, against a search written out."""
+"""Where things are expected next: velocities over deferred frames, and medians over a neighbourhood."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from decogs.encoder.training.warm_start import shared_displacements
+from decogs.encoder.frame.commit import _motion_after
+from decogs.encoder.training.warm_start import Motion, shared_displacements
 
 
 def written_out(means: np.ndarray, displacements: np.ndarray, neighbours: int) -> np.ndarray:
@@ -42,3 +46,29 @@ def test_fewer_gaussians_than_neighbours(count: int) -> None:
     if count:
         np.testing.assert_allclose(found, np.tile(np.median(displacements, axis=0), (count, 1)), rtol=1e-6)
     np.testing.assert_array_equal(shared_displacements(means, displacements, 1), displacements)
+
+
+WAY = np.float32([[0.5, 0, 0], [0, -0.25, 1]])
+
+
+def test_what_moves_goes_on_as_far_as_frames_have_passed() -> None:
+    """Frames 1, 3 and 4 are trained and 2 is deferred: what moved up to 3 took two frames, up to 4 one."""
+    frame: Any = SimpleNamespace(restarted=False)
+    scene: Any = SimpleNamespace(displacements=lambda before: WAY, state=None)
+
+    def after(motion: Motion, *, deferred: bool) -> Motion:
+        plan: Any = SimpleNamespace(deferred=deferred)
+        return _motion_after(motion, plan, frame, scene, scene)
+
+    trained = after(Motion.at_rest(2), deferred=False)
+    np.testing.assert_array_equal(trained.predict(), WAY)
+    waiting = after(trained, deferred=True)
+    np.testing.assert_array_equal(waiting.predict(), 2 * WAY)
+    again = after(waiting, deferred=False)
+    np.testing.assert_array_equal(again.predict(), WAY / 2)
+    np.testing.assert_array_equal(after(again, deferred=False).predict(), WAY)
+
+
+def test_a_restarted_frame_has_no_velocity() -> None:
+    given: Any = SimpleNamespace(restarted=True, deferred=False, state=range(2))
+    assert not _motion_after(Motion(WAY), given, given, given, given).predict().any()

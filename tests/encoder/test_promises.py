@@ -16,7 +16,6 @@ from decogs.codec.header.header import StreamHeader
 from decogs.codec.scene.lattice import default_lattice, dequantise
 from decogs.codec.scene.state import take_rows
 from decogs.decoder.reading.stream import open_stream
-from decogs.encoder.backends.cpu.optimiser import CpuOptimiser
 from decogs.encoder.coding.changes import delta_of
 from decogs.encoder.frame.commit import next_memory
 from decogs.encoder.frame.events import PendingFrame
@@ -31,6 +30,7 @@ from decogs.encoder.training.method import FrameInput, TrainedFrame
 from decogs.encoder.training.seeding import _confirm, _Found
 from decogs.encoder.training.warm_start import Motion
 from decogs.formats.splats import Splats, empty_splats
+from noting_kernel import NotingKernel
 from packets import iterate_packets
 
 
@@ -68,14 +68,15 @@ def test_a_distorted_rig_says_so_in_its_header(encode: Any, lens_rig: Path, movi
 # Rotations
 
 
-def test_the_largest_component_of_a_keyframes_rotations_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_component_of_a_keyframes_rotations_is_one() -> None:
     """However little a rotation shows: without it, nothing would say which way the Gaussian is turned."""
-    monkeypatch.setattr(keyframe, "picture_weight", lambda _: 1.0)
     splats = Splats(*(np.zeros((10, *shape), np.float32) for shape in ((3,), (3,), (4,), (), (1, 3))))
     splats.quaternions[:, 0] = 1
     splats.quaternions[9] = [0.1, -0.9, 0.2, 0.3]
     optimiser = SimpleNamespace(splats=splats, gradient_size=lambda name: np.zeros_like(getattr(splats, name)))
-    stub: Any = SimpleNamespace(_optimiser=optimiser, _settings=SimpleNamespace(rd_lambda=1.0), _losses=[])
+    stub: Any = SimpleNamespace(
+        _optimiser=optimiser, _settings=SimpleNamespace(rd_lambda=1.0), _losses=[SimpleNamespace(emphasis=1e6)]
+    )
     lattice = default_lattice(1.0)
     one, judged = round(1 / lattice.quaternions), keyframe._KeyframeTraining._rd_quantised(stub, lattice).quaternions
     np.testing.assert_array_equal(judged[:9], [[one, 0, 0, 0]] * 9)
@@ -102,21 +103,14 @@ def test_a_delta_keeps_the_quaternions_that_turn_alike(moving: Any) -> None:
 
 
 def test_rates_fall_over_the_second_half_of_a_frame(
-    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any
 ) -> None:
-    rates: list[float] = []
-    step = CpuOptimiser.step
-
-    def noted(self: Any, gradients: Any, given: Any, **options: Any) -> None:
-        rates.append(given.log_scales)
-        step(self, gradients, given, **options)
-
-    monkeypatch.setattr(CpuOptimiser, "step", noted)
-    steps = 20
+    kernel, steps = NotingKernel(), 20
     frame = replace(tiny_settings.frame, joint_iterations=steps)
-    encode(moving_rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path, stop=2)
+    encode(moving_rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path, stop=2, kernel=kernel)
+    rates = np.array([given.log_scales for given in kernel.rates])
     expected = [0.2 ** max(0.0, 2 * done / steps - 1) for done in range(steps)]
-    np.testing.assert_allclose(np.array(rates) / rates[0], expected, rtol=1e-6)
+    np.testing.assert_allclose(rates / rates[0], expected, rtol=1e-6)
 
 
 # What a frame leaves behind

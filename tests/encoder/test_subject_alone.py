@@ -12,7 +12,6 @@ import pytest
 from decogs.decoder.rasterise.native import render_planes
 from decogs.decoder.reading.stream import open_stream
 from decogs.rig.mattes import MatteChoice
-from decogs.rig.pictures.compositing import background_for, over
 from encode_rig import encode_rig as encode
 from stages.make import write_stage
 from stages.scenes import cameras
@@ -69,15 +68,3 @@ def test_without_its_matte_a_left_out_camera_is_not_measured(grey: Path, stream:
     report = encode(grey, again, "live", holdout=[LEFT_OUT], effects="none", mattes=choice)
     assert report.frames[0].held_out_psnr is None
     assert again.read_bytes() == stream.read_bytes()  # the left-out camera's matte is as unseen as its picture
-
-
-def test_the_background_is_far_from_the_subject_and_the_plate_is_exchanged_for_it() -> None:
-    picture = np.zeros((3, 4, 4), np.float32)
-    picture[1] = 0.9  # green clothes
-    alpha = np.ones((4, 4), np.float32)
-    chosen = background_for([picture], [alpha])
-    assert chosen != (0.0, 1.0, 0.0)
-    assert np.abs(np.array(chosen) - [0, 0.9, 0]).max() >= 0.9
-    half, plate = np.full((4, 4), 0.5, np.float32), np.full((3, 4, 4), 0.2, np.float32)
-    mixed = half * picture + (1 - half) * plate
-    np.testing.assert_allclose(over(mixed, half, chosen, plate), over(picture, half, chosen), atol=1e-6)

@@ -19,7 +19,6 @@ from decogs.codec.scene.digest import digest
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
-from decogs.encoder.coding.scene import Scene
 from decogs.encoder.coding.time_control import (
     TIME_TOLERANCE,
     TimeControl,
@@ -31,12 +30,11 @@ from decogs.encoder.coding.time_control import (
 from decogs.encoder.commands import encode_main
 from decogs.encoder.job.option_texts import seconds_per_frame
 from decogs.encoder.job.switches import with_method
-from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import SignificanceSettings
-from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.schedule import MIN_STEPS
 from decogs.formats.errors import UsageError
 from encode_rig import encode_rig
+from noting_kernel import NotingKernel
 from packets import iterate_packets
 
 BUDGET = 1.0
@@ -222,17 +220,10 @@ def steps_of(path: Path) -> dict[int, int]:
     return steps
 
 
-def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
-    moving: Any,
-    restless_rig: Path,
-    patient: EncodeSettings,
-    tiny_rig: Any,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """On a clock of the test's own that only drawing moves: 10 ms for every picture."""
-    now, judged = [0.0], []
-    draw, revert_insignificant = CpuFixedView.draw, frame_training.revert_insignificant
+@pytest.fixture
+def slow_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock of the test's own that only drawing moves: 10 ms for every picture."""
+    now, draw = [0.0], CpuFixedView.draw
 
     def slow(view: Any, *arguments: Any, **options: Any) -> None:
         now[0] += 0.01
@@ -240,7 +231,33 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
 
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
     monkeypatch.setattr(CpuFixedView, "draw", slow)
-    monkeypatch.setattr(frame_training, "revert_insignificant", lambda *a: (judged.append(1), revert_insignificant(*a)))
+
+
+Judging = Callable[[Callable[[], int]], list[int]]
+
+
+@pytest.fixture
+def judging(monkeypatch: pytest.MonkeyPatch) -> Judging:
+    """What is counted whenever a frame's changes are judged."""
+
+    def begin(count: Callable[[], int]) -> list[int]:
+        judged, judge = [], frame_training.revert_insignificant
+        monkeypatch.setattr(frame_training, "revert_insignificant", lambda *a: (judged.append(count()), judge(*a)))
+        return judged
+
+    return begin
+
+
+@pytest.mark.usefixtures("slow_drawing")
+def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
+    moving: Any,
+    restless_rig: Path,
+    patient: EncodeSettings,
+    tiny_rig: Any,
+    tmp_path: Path,
+    judging: Judging,
+) -> None:
+    judged = judging(lambda: 1)
     output, given = tmp_path / "x.dgs", {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
     encode_rig(restless_rig, tmp_path / "free.dgs", **given)
     judged.clear()
@@ -259,19 +276,11 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
     assert output.stat().st_size < 1.3 * (tmp_path / "free.dgs").stat().st_size, "unjudged, frames take much more"
 
 
+@pytest.mark.usefixtures("slow_drawing")
 def test_a_deferred_frame_is_taken_up_by_the_next_one(
-    moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path
 ) -> None:
-    """On a clock that only drawing moves: the square stands until there is time, then it is where it should be."""
-    now = [0.0]
-    draw = CpuFixedView.draw
-
-    def slow(view: Any, *arguments: Any, **options: Any) -> None:
-        now[0] += 0.01
-        draw(view, *arguments, **options)
-
-    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(CpuFixedView, "draw", slow)
+    """The square stands until there is time, then it is where it should be."""
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, *[1, 3, 0] * 4])
     given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
     report = encode_rig(rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.11))
@@ -285,63 +294,18 @@ def test_a_deferred_frame_is_taken_up_by_the_next_one(
     assert min(frame.training_psnr for frame in trained) > max(frame.training_psnr for frame in deferred) + 0.1
 
 
-def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
-    moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Frames 1, 3 and 4 are trained and 2 is deferred: what moved up to 3 took two frames, up to 4 one."""
-    begun: list[Any] = []
-    reached: list[Any] = []
-    train, displacements = DecogsTrainer.train, Scene.displacements
-
-    def noted(trainer: Any, frame: Any) -> Any:
-        begun.append(frame.motion)
-        return train(trainer, frame)
-
-    def measured(scene: Any, before: Any) -> Any:
-        reached.append(displacements(scene, before))
-        return reached[-1]
-
-    deferred = iter([False, True, False, False])
-    monkeypatch.setattr(TimeControl, "defers", lambda *_: next(deferred))
-    monkeypatch.setattr(DecogsTrainer, "train", noted)
-    monkeypatch.setattr(Scene, "displacements", measured)
-    rig = tiny_rig.write(tmp_path / "rig", frames=[0, 1, 3, 0, 1])
-    given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
-    report = encode_rig(rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=10.0))
-    assert [frame.kind for frame in report.frames] == ["key", "delta", "skip", "delta", "delta"]
-    assert all(way.any() for way in reached)
-    np.testing.assert_array_equal(begun[1], 2 * reached[0])
-    np.testing.assert_allclose(begun[2], reached[1] / 2, rtol=1e-6)
-
-
+@pytest.mark.usefixtures("slow_drawing")
 def test_few_steps_still_get_as_far_as_things_move(
-    moving: Any,
-    restless_rig: Path,
-    patient: EncodeSettings,
-    tiny_rig: Any,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    encode: Any, moving: Any, restless_rig: Path, patient: EncodeSettings
 ) -> None:
-    """On a clock that only drawing moves: rates grow where only a few of the steps fit."""
-    now = [0.0]
-    draw = CpuFixedView.draw
-
-    def slow(view: Any, *arguments: Any, **options: Any) -> None:
-        now[0] += 0.01
-        draw(view, *arguments, **options)
-
-    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(CpuFixedView, "draw", slow)
-    factors: list[float] = []
-    scaled = LearningRates.scaled
-    monkeypatch.setattr(LearningRates, "scaled", lambda r, f: (factors.append(f), scaled(r, f))[1])
-    given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient, "frames": slice(2)}
-    encode_rig(restless_rig, tmp_path / "x.dgs", **given)
-    assert max(factors[-60:]) == 1.0
-    factors.clear()
-    encode_rig(restless_rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.22))
+    """Rates grow where only a few of the steps fit."""
+    most = []
+    for settings in (patient, with_time_budget(patient, 0.22)):
+        kernel = NotingKernel()
+        encode(restless_rig, settings=settings, keyframe=moving.path, stop=2, kernel=kernel)
+        most.append(max(rates.log_scales for rates in kernel.rates))
     # 12 to 20 steps instead of 60: strides of 3 to 5.
-    assert 1.5 < max(factors) <= schedule._MAX_RATE_GAIN
+    assert 1.5 < most[1] / most[0] <= schedule._MAX_RATE_GAIN * (1 + 1e-9)
 
 
 def test_time_enough_gives_the_states_of_no_budget(
@@ -413,19 +377,17 @@ def test_a_target_ends_training_and_the_same_seed_still_gives_the_same_bytes(
 
 
 def test_changes_are_judged_before_a_target_ends_training(
-    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, monkeypatch: pytest.MonkeyPatch
+    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, judging: Judging
 ) -> None:
-    judged: list[int] = []
-    revert_insignificant, backward = frame_training.revert_insignificant, CpuFixedView.backward
-    steps: list[int] = []
-    monkeypatch.setattr(
-        frame_training, "revert_insignificant", lambda *a: (judged.append(len(steps)), revert_insignificant(*a))
-    )
-    monkeypatch.setattr(CpuFixedView, "backward", lambda *a, **o: (steps.append(1), backward(*a, **o))[1])
-    encode(moving_rig, settings=with_target_psnr(patient, 10.0), keyframe=moving.path, stop=2)
-    views = 4
+    kernel, views = NotingKernel(), 4
+
+    def steps() -> int:
+        return sum(what == "backward" for what, _ in kernel.done)
+
+    judged = judging(steps)
+    encode(moving_rig, settings=with_target_psnr(patient, 10.0), keyframe=moving.path, stop=2, kernel=kernel)
     assert judged == [views + 1], "at once when every view was seen to be good enough"
-    assert views + 1 + views <= len(steps) <= views + 1 + 2 * views, "and then until each has been seen again"
+    assert views + 1 + views <= steps() <= views + 1 + 2 * views, "and then until each has been seen again"
 
 
 def test_a_target_out_of_reach_changes_nothing(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.psnr import psnr_of
 from decogs.encoder.commands import encode_main
 from decogs.encoder.frame.context import Context
-from decogs.encoder.keyframe import train as keyframe
+from decogs.encoder.keyframe.train import TUNING, Tuning, train_keyframe
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import DecogsError, RigError, TrainingError
@@ -382,17 +383,23 @@ def test_pruning_everything_in_a_later_frame_is_taken_back(moving: Any, encode: 
     assert len({digest(state) for state in encoded.states}) == 1
 
 
+def tuned(monkeypatch: pytest.MonkeyPatch, **tuning: Any) -> None:
+    """Keyframes are trained with this tuning."""
+    train = partial(train_keyframe, tuning=Tuning(**tuning))
+    monkeypatch.setattr("decogs.encoder.keyframe.first_frame.train_keyframe", train)
+
+
 def test_pruning_a_whole_keyframe_ends_with_a_clear_line(
     moving: Any, settings: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("decogs.encoder.keyframe.train._PRUNE_OPACITY", 1.0)
+    tuned(monkeypatch, prune_opacity=1.0)
     with pytest.raises(TrainingError, match="every Gaussian became transparent"):
         encode_rig(moving[0], tmp_path / "x.dgs", settings=settings)
     assert not (tmp_path / "x.dgs").exists()
 
 
 def test_the_cap_is_reached_and_kept(moving: Any, encode: Any, settings: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("decogs.encoder.keyframe.train._GROW_GRADIENT", 0.0)
+    tuned(monkeypatch, grow_gradient=0.0)
     keyframe = replace(settings.keyframe, cap=300)
     encoded = encode(moving[0], settings=replace(settings, keyframe=keyframe), stop=2)
     check_stream(encoded)
@@ -460,7 +467,7 @@ def encode_main_with(chosen: Any, moving: Any, tmp_path: Path) -> None:
 def test_a_keyframe_at_rates_a_hundredfold_stops_with_a_clear_line(
     moving: Any, settings: Any, factor: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keyframe, "_RATES", keyframe._RATES.scaled(factor))
+    tuned(monkeypatch, rates=TUNING.rates.scaled(factor))
     output = tmp_path / "scene.dgs"
     with pytest.raises(DecogsError, match=r"rates|diverged|extent") as raised:
         encode_rig(moving[0], output, settings=settings, holdout=["cam02"], threads=1)

@@ -129,14 +129,19 @@ def coded(linear: NDArray[np.float32], random: np.random.Generator) -> NDArray[n
     return np.clip(np.rint(255 * curve + random.normal(0, NOISE, curve.shape)), 0, 255).astype(np.uint8)
 
 
-def write_stage(name: str, folder: Path, views: Sequence[Camera], frames: int, seed: int = 0) -> Path:
-    """rig.json, camNN/FFFF.png, truth/mattes/camNN/FFFF.png and scene.json; the same bits for the same seed."""
+def write_stage(
+    name: str, folder: Path, views: Sequence[Camera], frames: int, seed: int = 0, *, is_empty: bool = False
+) -> Path:
+    """rig.json, camNN/FFFF.png, truth/mattes/camNN/FFFF.png and scene.json; the same bits for the same seed.
+
+    ``is_empty``: nobody is on stage.
+    """
     folder.mkdir(parents=True)
     stage = scenes.STAGES[name]
     looking = [look(camera, stage) for camera in views]
     gains = 1 + stage.gains * np.random.default_rng(seed).uniform(-1, 1, len(views))
     for frame in range(frames):
-        acting = scenes.on_stage(frame, stage.clothes)
+        acting = [] if is_empty else scenes.on_stage(frame, stage.clothes)
         backdrop = light_on_backdrop(stage, acting, views[0].height)
         for index, view in enumerate(looking):
             image, matte = render(view, acting, backdrop)

@@ -74,10 +74,9 @@ def test_one_frame_tells_what_it_can(moving_rig: Path) -> None:
     assert not of["exposure_drift"].detected
 
 
-def test_a_clip_beyond_the_memory_is_thinned(moving_rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clip_beyond_the_memory_is_thinned(moving_rig: Path) -> None:
     """Room for two frames of five 64x48 cameras: every second of four is looked at."""
-    monkeypatch.setattr("decogs.rig.check.rig_statistics.MAX_BYTES", 2 * 5 * 64 * 48 * 3)
-    analysis = analyse(moving_rig)
+    analysis = analyse(moving_rig, max_bytes=2 * 5 * 64 * 48 * 3)
     assert (analysis.stats.frames, analysis.stats.step) == ((0, 2), 2)
     assert "4 frames, 1 in 2 analysed" in next(iter(analysis.table()))
 

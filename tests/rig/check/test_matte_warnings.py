@@ -1,0 +1,37 @@
+"""What is said of mattes before work begins."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decogs.rig.check.mattes import check_mattes
+from decogs.rig.pictures.ingest import RigFrame
+
+NAMES = ("cam00", "cam01")
+
+
+def warnings(worn: tuple[float, ...], told: tuple[str, ...] = ()) -> list[str]:
+    views = [SimpleNamespace(camera=SimpleNamespace(name=name), pinhole=None) for name in NAMES]
+    ingest: Any = SimpleNamespace(views=views, matte_warnings=told, matte_place=lambda name, index: f"{name}/{index}")
+    said: list[str] = []
+    frame = RigFrame(3, [], [], alpha=[np.eye(8, dtype=np.float32)] * 2, worn=worn)
+    check_mattes(ingest, frame, said.append)
+    return said
+
+
+@pytest.mark.parametrize("worn", [(), (0.0, 0.006), (0.006, 0.001)])
+def test_hardly_any_of_the_screens_colour_is_no_warning(worn: tuple[float, ...]) -> None:
+    assert warnings(worn) == []
+
+
+def test_cloth_of_the_screens_colour_is_named_where_there_is_most() -> None:
+    (warning,) = warnings((0.007, 0.02))
+    assert warning.startswith("cam01/3: 2.0% of the subject has the screen's colour")
+
+
+def test_what_the_mattes_themselves_warn_of_comes_first() -> None:
+    assert warnings((0.02, 0.0), ("one", "two"))[:2] == ["one", "two"]
