@@ -28,11 +28,9 @@ from decogs.formats.cli.command_line import (
 )
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.files.unicode_forms import composed
-from decogs.formats.frames.ranges import frame_range
+from decogs.formats.frames.ranges import frame_range, frames_text
 from decogs.rig.mattes.options import add_matte_options, matte_choice
 from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
-
-from .output.reports import frames_text
 
 if TYPE_CHECKING:
     from decogs.formats.rigs import Rig

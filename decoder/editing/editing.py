@@ -23,7 +23,8 @@ from .take import Frame, Take, open_take
 from .writing import FrameWriter
 
 MAX_OPERATIONS = 100
-"""Of one edit: each of them reads frames through all those before it."""
+"""Of one edit: each of them reads frames through all those before it, one within the other. 300 `grade` of 11 000
+Gaussians keep 500 MB of scenes, 80 `crop` take 3 s a frame, and Python goes no deeper than some 900."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,10 @@ def edit(
     if not operations:
         raise UsageError("no operation is given; decogs-edit --help lists them")
     if len(operations) > MAX_OPERATIONS:
-        raise UsageError(f"{len(operations)} operations are too many; give up to {MAX_OPERATIONS} at once")
+        raise UsageError(
+            f"{len(operations)} operations are too many; give up to {MAX_OPERATIONS} at once, "
+            "and edit what comes out with the others"
+        )
     target = Path(output) if isinstance(output, (str, os.PathLike)) else output
     with ExitStack() as opened:
         numbers = count()

@@ -73,7 +73,7 @@ def analyze_parser() -> Parser:
 
 def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     from decogs.formats.rigs import files_of, without_cameras
-    from decogs.rig.check.mattes import check_mattes
+    from decogs.rig.check.mattes import check_mattes, lost_mattes
     from decogs.rig.mattes import files_of_mattes, open_mattes
     from decogs.rig.pictures.ingest import Ingest, frame_span
 
@@ -108,6 +108,12 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
         )
     for warning in analysis.check.warnings():
         warn_as(parser)(warning)
+    if mattes is not None and mattes.rig is not None and not mattes.is_own:  # whose pictures were read just now
+        names, read = set(analysis.stats.names), analysis.stats.frames
+        with progress("mattes", quiet=options.quiet) as on_frame:
+            seen = range(read[0], read[-1] + 1, analysis.stats.step)
+            for warning in lost_mattes(mattes, names, seen, on_frame):
+                warn_as(parser)(warning)
     document = json.dumps(analysis.to_json(), indent=1) + "\n"
     print_text("\n".join(analysis.table()), to_stderr=options.json == "-")
     if options.json == "-":

@@ -24,6 +24,9 @@ from .changes import delta_of
 
 IDS_PER_SEGMENT = 1 << 31
 """Ids set aside for each closed segment: an id is never given twice, though segments do not know of each other."""
+_IDS_PER_FRAME = 1 << 13
+"""The same for each frame of segments that start from a cut's keyframe. A whole keyframe lists its ids, at most 2^35
+apart (SPEC.md, "Varint"): enough for 2^22 frames of one scene, of which each adds some hundred Gaussians."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +63,18 @@ class Scene:
         """An earlier ``state`` for the next frame's; ids of Gaussians that came since are not given again."""
         return self._with(replace(state, frame=self.state.frame, next_id=self.state.next_id))
 
-    def restart(self, frame: int, segment: int) -> Scene:
-        """The first keyframe's state as the one before ``frame``, which begins a closed segment."""
-        next_id = self.first.next_id + frame // segment * IDS_PER_SEGMENT
-        return self._with(replace(self.first, frame=frame - 1, next_id=next_id))
+    def restart(self, key: State, frame: int, segment: int) -> Scene:
+        """The state of the first keyframe or a cut's as the one before ``frame``, which begins a closed segment."""
+        since = (frame - key.frame) * _IDS_PER_FRAME if key.frame else frame // segment * IDS_PER_SEGMENT
+        return self._with(replace(key, frame=frame - 1, next_id=key.next_id + since))
+
+    def id_of_cut(self, frame: int, segment: int) -> int:
+        """The first id of a keyframe in ``frame`` of closed segments: it follows from the frame alone."""
+        return self.first.next_id + frame * IDS_PER_SEGMENT // segment
+
+    def before_cut(self, frame: int, first_id: int) -> Scene:
+        """The scene as the one before a cut in ``frame``, whose ids begin with ``first_id`` unless that is taken."""
+        return replace(self, state=replace(self.state, frame=frame - 1, next_id=max(self.state.next_id, first_id)))
 
     def displacements(self, before: State) -> FloatArray:
         """How far every Gaussian moved since ``before``, (N, 3) world units; 0 for new ones."""

@@ -23,7 +23,7 @@ from decogs.formats.stream.container import Packet, PacketKind
 from decogs.rig.pictures.ingest import RigFrame, scene_extent
 from decogs.rig.stage.stage import Stage, find_stage
 
-from ..change.masks import FrameMask
+from ..change.masks import FrameMask, usable_views
 from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
@@ -37,8 +37,9 @@ from .context import Context
 from .cross_fade import CrossFade, cross_fade
 from .events import Kind, PendingFrame, what_happened
 from .first_look import Upcoming
-from .memory import Memory, SceneStart, new_memory, restart_at_segment
+from .memory import Memory, new_memory, restart_at_segment, restart_from
 from .plan import FramePlan, find_masks, find_selected, plan_frame
+from .segment_starts import SceneStart, SegmentStarts
 from .train import train_frame
 
 
@@ -109,25 +110,49 @@ def encode_frame(context: Context, scene: Scene, memory: Memory, task: Task) -> 
 def compensate_and_classify(context: Context, scene: Scene, memory: Memory, task: Task) -> PendingFrame:
     """Steps 2 and 3: the compensated frame, and what happened in it."""
     watch, packet = task.watch, task.packet
-    recorded = match_colours(task.recorded, context.ingest.views, scene.header.camera_colours)
-    index = recorded.index - scene.header.first_frame
+    index = task.recorded.index - scene.header.first_frame
     scene, memory, restarted = restart_at_segment(context, scene, memory, index, watch)
-    recorded = _without_lost(context, recorded, memory)
-    if packet is not None:
-        _, corrections = read_back(packet, scene.header)
-    else:
-        render = context.renderer(memory.views, scene.splats)
-        corrections = find_corrections(recorded, context.corrector, memory.corrections, render, watch)
-    compensated = compensate(recorded, context.corrector, corrections)
-    frame = PendingFrame(recorded, compensated, corrections, scene, memory, restarted=restarted)
-    if packet is None:
-        return what_happened(context, frame, watch)
-    state = scene.read(packet)
-    frame = replace(frame, replayed=state)
-    if scene.is_left_by(packet, state):
+    frame = _pending(context, scene, memory, task, restarted=restarted)
+    if packet is not None and frame.replayed is not None and scene.is_left_by(packet, frame.replayed):
         return replace(frame, kind=Kind.CUT)
     frame = what_happened(context, frame, watch)
-    return replace(frame, kind=Kind.CHANGE) if frame.kind is Kind.CUT else frame
+    if restarted and frame.kind is Kind.CUT and (start := _start_after_cut(context, frame, task)) is not None:
+        scene, memory = restart_from(context, scene, memory, start, index, watch)
+        frame = what_happened(context, _pending(context, scene, memory, task, restarted=True), watch)
+    # A keyframe needs every camera.
+    if frame.kind is Kind.CUT and (packet is not None or len(usable_views(frame.changes)) < len(frame.changes)):
+        return replace(frame, kind=Kind.CHANGE)
+    return frame
+
+
+def _pending(context: Context, scene: Scene, memory: Memory, task: Task, *, restarted: bool) -> PendingFrame:
+    """The frame, compensated against the ``scene`` before it, or as its packet says."""
+    recorded = match_colours(task.recorded, context.ingest.views, scene.header.camera_colours)
+    recorded, state = _without_lost(context, recorded, memory), None
+    if task.packet is not None:
+        _, corrections = read_back(task.packet, scene.header)
+        state = scene.read(task.packet)
+    else:
+        render = context.renderer(memory.views, scene.splats)
+        corrections = find_corrections(recorded, context.corrector, memory.corrections, render, task.watch)
+    compensated = compensate(recorded, context.corrector, corrections)
+    return PendingFrame(recorded, compensated, corrections, scene, memory, restarted=restarted, replayed=state)
+
+
+def _start_after_cut(context: Context, frame: PendingFrame, task: Task) -> SceneStart | None:
+    """Where the closed segment starts that begins with the ``frame``, another scene than the first keyframe's."""
+    starts = frame.memory.starts
+    assert starts is not None
+    scene = replace(frame.scene, state=starts.first.state)
+
+    def train(recorded: RigFrame) -> SceneStart | None:
+        cut = Task(recorded, on_step=task.on_step, watch=task.watch)
+        try:
+            return _start_of(encode_cut(context, replace(frame, scene=scene, replayed=None), cut))
+        except TrainingError:
+            return None
+
+    return starts.before(task.recorded, train)
 
 
 def _without_lost(context: Context, frame: RigFrame, memory: Memory) -> RigFrame:
@@ -175,15 +200,30 @@ def train_and_code(context: Context, frame: PendingFrame, task: Task) -> Encoded
 
 def encode_cut(context: Context, frame: PendingFrame, task: Task) -> Encoded:
     """A keyframe of another scene than the one before it; raises TrainingError where none can be trained."""
-    before = frame.scene
+    before, starts, key, first_id = frame.scene, frame.memory.starts, frame.replayed, -1
+    if starts is not None:
+        number = task.recorded.index - before.header.first_frame
+        first_id = before.id_of_cut(number, context.settings.segment)
+        before, kept = before.before_cut(number, first_id), starts.kept(task.recorded.index)
+        if kept is not None and key is None and before.state.next_id == first_id:
+            key, task = kept.state, replace(task, packet=kept.packet)
     frame.memory.views.release()
-    if frame.replayed is not None:
-        first = earlier_first_frame(context, frame.replayed, before.header, task.recorded)
+    if key is not None:
+        first = earlier_first_frame(context, key, before.header, task.recorded)
     else:
         recorded = match_colours(task.recorded, context.ingest.views, before.header.camera_colours)
         first = train_keyframe(context, recorded, task, before)
         first = replace(first, state=replace(first.state, frame=before.state.frame + 1))
-    return begin_scene(context, before.header, first, task, frame)
+    encoded = begin_scene(context, before.header, first, task, replace(frame, scene=before))
+    if starts is not None and first_id in encoded.scene.state.ids[:1]:
+        starts.keep(_start_of(encoded))
+    return encoded
+
+
+def _start_of(encoded: Encoded) -> SceneStart:
+    """A scene's first frame as what closed segments start from."""
+    memory = encoded.memory
+    return SceneStart(encoded.scene.state, encoded.written.packet, encoded.pictures, memory.corrections, memory.stage)
 
 
 def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Scene | None = None) -> FirstFrame:
@@ -233,15 +273,14 @@ def begin_scene(
         if packet is None:
             key = reconstruct(None, written.packet, header) if cut is None else cut.scene.read(written.packet)
         scene = Scene.open(header, key) if cut is None else cut.scene.after(key)
-        start = SceneStart(frame, _stage_of(context, first, frame))
-        memory = new_memory(
-            context,
-            scene,
-            start,
-            None if drift is None else replace(drift, first=corrections),
-            views=context.new_views() if cut is None else cut.memory.views,
-            time=_time_control(context) if cut is None else cut.memory.time,
-            first=cut.memory.first if cut is not None else start if context.settings.closed else None,
+        drift = None if drift is None else replace(drift, first=corrections)
+        start = SceneStart(key, written.packet, frame, drift, _stage_of(context, first, frame))
+        memory = (
+            _first_memory(context, scene, start)
+            if cut is None
+            else new_memory(
+                context, scene, start, views=cut.memory.views, time=cut.memory.time, starts=cut.memory.starts
+            )
         )
     with watch.stage("write"):
         task.write(written.packet)
@@ -254,9 +293,17 @@ def _stage_of(context: Context, first: FirstFrame, compensated: RigFrame) -> Sta
     return first.stage if same or context.method.dense else find_stage(context.ingest.views, compensated)
 
 
-def _time_control(context: Context) -> TimeControl | None:
-    budget = context.settings.time_budget
-    return None if budget is None else TimeControl(budget)
+def _first_memory(context: Context, scene: Scene, start: SceneStart) -> Memory:
+    """The memory after a stream's first frame."""
+    settings = context.settings
+    return new_memory(
+        context,
+        scene,
+        start,
+        views=context.new_views(),
+        time=None if settings.time_budget is None else TimeControl(settings.time_budget),
+        starts=SegmentStarts(context.ingest, settings.segment, start) if settings.closed else None,
+    )
 
 
 def _fade(

@@ -106,9 +106,14 @@ def _after_flash(frame: PendingFrame, context: Context) -> PendingFrame:
 
 
 def _is_cut(context: Context, frame: PendingFrame, changes: Sequence[PixelChange]) -> bool:
-    # A keyframe needs every camera, and the time of many frames.
-    if context.settings.time_budget is not None or len(usable_views(changes)) < len(changes):
+    # A keyframe takes the time of many frames.
+    if context.settings.time_budget is not None:
+        return False
+    # It needs every camera; a segment may start from one that is there.
+    used = usable_views(changes)
+    if len(used) < len(changes) and not frame.restarted:
         return False
     # References whose pixels are of several frames have edges of their own.
-    before = (frame.memory.masks.references, frame.memory.masks.previous)
-    return all(shows_another_scene(frame.pictures, pictures) for pictures in before)
+    masks = frame.memory.masks
+    now, *before = ([shown[i] for i in used] for shown in (frame.pictures, masks.references, masks.previous))
+    return all(shows_another_scene(now, pictures) for pictures in before)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from decogs.codec.scene.state import State
 from decogs.formats.splats import FloatArray
-from decogs.rig.pictures.ingest import RigFrame
 from decogs.rig.stage.stage import Stage
 
 from ..backends.scene_views import SceneViews
@@ -21,6 +20,7 @@ from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion
 from .context import Context
 from .first_look import FirstLook, Looking
+from .segment_starts import SceneStart, SegmentStarts
 
 
 @dataclass(frozen=True)
@@ -34,20 +34,12 @@ class BeforeFlash:
 
 
 @dataclass(frozen=True)
-class SceneStart:
-    """A scene's first ``frame``, compensated, and the ``stage`` in it, if it shows one."""
-
-    frame: RigFrame
-    stage: Stage | None
-
-
-@dataclass(frozen=True)
 class Memory:
     """What a frame hands to the next.
 
-    ``views``: the training views, which keep what was drawn last. ``first``: the stream's first frame, to which closed
-    segments return; None in other streams. ``rate`` and ``time`` keep to budgets, where there are some. ``stage``: the
-    scene's, if it is one. ``looking``: at the next frame.
+    ``views``: the training views, which keep what was drawn last. ``starts``: where closed segments start from; None in
+    other streams. ``rate`` and ``time`` keep to budgets, where there are some. ``stage``: the scene's, if it is one.
+    ``looking``: at the next frame.
     """
 
     trainer: FrameTrainer
@@ -59,7 +51,7 @@ class Memory:
     views: SceneViews
     stage: Stage | None = None
     before_flash: BeforeFlash | None = None
-    first: SceneStart | None = None
+    starts: SegmentStarts | None = None
     looking: Looking | None = None
 
     def first_look(self, pictures: Sequence[FloatArray]) -> FirstLook | None:
@@ -72,11 +64,10 @@ def new_memory(
     context: Context,
     scene: Scene,
     start: SceneStart,
-    corrections: CorrectionMemory | None,
     *,
     views: SceneViews,
     time: TimeControl | None,
-    first: SceneStart | None,
+    starts: SegmentStarts | None,
 ) -> Memory:
     """The memory after the ``start`` of a ``scene``: nothing is left of the frames before."""
     settings = context.settings
@@ -97,12 +88,12 @@ def new_memory(
         trainer,
         MaskMemory.begin(start.frame.training, rendered, subject=bool(start.frame.alpha), threads=context.threads),
         Motion.at_rest(len(scene.state)),
-        corrections,
+        start.corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,
         views,
         start.stage,
-        first=first,
+        starts=starts,
     )
 
 
@@ -113,13 +104,17 @@ def restart_at_segment(
 
     Such a frame starts from the first keyframe; nothing is left of the frames before it.
     """
-    segment = context.settings.segment
-    if memory.first is None or frame % segment:
+    if memory.starts is None or frame % context.settings.segment:
         return scene, memory, False
+    return *restart_from(context, scene, memory, memory.starts.first, frame, watch), True
+
+
+def restart_from(
+    context: Context, scene: Scene, memory: Memory, start: SceneStart, frame: int, watch: Stopwatch
+) -> tuple[Scene, Memory]:
+    """Scene and memory before ``frame``, which begins a closed segment that starts from there."""
     with watch.stage("commit"):
-        scene = scene.restart(frame, segment)
-        corrections = None if memory.corrections is None else memory.corrections.restart()
-        memory = new_memory(
-            context, scene, memory.first, corrections, views=memory.views, time=memory.time, first=memory.first
-        )
-    return scene, memory, True
+        scene = scene.restart(start.state, frame, context.settings.segment)
+        corrections = None if start.corrections is None else start.corrections.restart()
+        start, starts = replace(start, corrections=corrections), memory.starts
+        return scene, new_memory(context, scene, start, views=memory.views, time=memory.time, starts=starts)

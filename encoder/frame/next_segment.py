@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decogs.codec.scene.state import changed_between
+from decogs.codec.scene.state import State, changed_between
 from decogs.rig.pictures.ingest import RigFrame
 
 from ..backends.scene_views import SceneViews
@@ -52,11 +52,13 @@ def with_following(
 class NextSegment:
     """The closed segment from the rig's frame ``start`` on, encoded backwards over the last frames before it.
 
-    ``first``: its first frame, encoded; None where that shows another scene. ``scenes``: by frame, as far as they show
-    the same one. ``fade_views``: where two segments are compared. ``length``: frames of its fade.
+    ``origin``: the keyframe's state from which it starts. ``first``: its first frame, encoded; None where that begins
+    another scene. ``scenes``: by frame, as far as they show the same one. ``fade_views``: where two segments are
+    compared. ``length``: frames of its fade.
     """
 
     start: int
+    origin: State
     first: Encoded | None
     scenes: Mapping[int, Scene]
     fade_views: SceneViews
@@ -64,12 +66,12 @@ class NextSegment:
 
     def fade(self, frame: int, scene: Scene) -> CrossFade | None:
         """The fade of ``frame``; ``scene``: before it. None where the two segments do not show the same scene."""
-        mine, first = scene.state, scene.first
-        old = np.isin(mine.ids, first.ids, assume_unique=True)
+        mine, origin = scene.state, self.origin
+        old = np.isin(mine.ids, origin.ids, assume_unique=True)
         if frame not in self.scenes or not old.any():
             return None
         theirs = self.scenes[frame]
-        differ = first.ids[changed_between(first, mine) | changed_between(first, theirs.state)]
+        differ = origin.ids[changed_between(origin, mine) | changed_between(origin, theirs.state)]
         share = _LAST_SHARE * (self.length + 1 - (self.start - frame)) / self.length
         rows = np.flatnonzero(~old | np.isin(mine.ids, differ, assume_unique=True))
         return CrossFade(theirs.splats, share, rows, self.fade_views)
@@ -78,6 +80,7 @@ class NextSegment:
 def train_next_segment(context: Context, scene: Scene, memory: Memory, frames: Sequence[RigFrame]) -> NextSegment:
     """Trains the next segment backwards from its start: ``frames`` are those before it and its first one."""
     start, unlogged = frames[-1].index, replace(context, on_loss=None)
+    origin = scene.first
     first: Encoded | None = None
     scenes: dict[int, Scene] = {}
     for place, frame in enumerate(reversed(frames)):
@@ -86,8 +89,10 @@ def train_next_segment(context: Context, scene: Scene, memory: Memory, frames: S
         pending = compensate_and_classify(unlogged, scene, memory, task)
         if pending.kind is Kind.CUT:
             break
+        if not place:
+            origin = pending.scene.state
         encoded = train_and_code(unlogged, pending, task)
         scene, memory, first = encoded.scene, encoded.memory, first or encoded
         scenes[frame.index] = scene
     views = SceneViews(context.kernel, lambda: fade_cameras([view.pinhole for view in context.ingest.views]))
-    return NextSegment(start, first, scenes, views, context.settings.fading)
+    return NextSegment(start, origin, first, scenes, views, context.settings.fading)

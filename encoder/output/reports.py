@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+
+from decogs.formats.frames.ranges import frames_text
 
 OnFrame = Callable[["FrameReport"], None]
 OnKeyframeStep = Callable[[int, int, float], None]
@@ -78,8 +80,11 @@ class EncodeReport:
     held_out_sizes: dict[str, tuple[tuple[int, int], tuple[int, int]]] = field(default_factory=dict)
 
 
-def left_out_warnings(frames: Sequence[FrameReport]) -> Iterator[str]:
-    """A line for every camera and reason, with the frames that the camera had no part in."""
+def left_out_warnings(frames: Sequence[FrameReport], known: Mapping[str, Collection[int]]) -> Iterator[str]:
+    """A line for every camera and reason, with the frames that the camera had no part in.
+
+    ``known``: by camera, frames of which the user knows; none where these are all.
+    """
     found: dict[str, dict[str, list[int]]] = {}
     for frame in frames:
         why = {name: f"its picture is {why}" for name, why in frame.left_out.items()} | frame.dropped
@@ -90,16 +95,5 @@ def left_out_warnings(frames: Sequence[FrameReport]) -> Iterator[str]:
             first = f"{next(iter(reasons))} (and {len(reasons) - 1} more such)"
             reasons = {first: sorted(chain.from_iterable(reasons.values()))}
         for reason, numbers in reasons.items():
-            yield f"camera {name} was left out of {frames_text(numbers)}: {reason}"
-
-
-def frames_text(numbers: Sequence[int]) -> str:
-    """ "frames 3 to 5, 9" for ascending numbers."""
-    runs: list[list[int]] = []
-    for frame in numbers:
-        if runs and frame == runs[-1][1] + 1:
-            runs[-1][1] = frame
-        else:
-            runs.append([frame, frame])
-    text = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
-    return f"frame{'s'[: len(numbers) > 1]} {text}"
+            if not set(numbers) <= set(known.get(name, ())):
+                yield f"camera {name} was left out of {frames_text(numbers)}: {reason}"

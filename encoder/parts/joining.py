@@ -14,12 +14,13 @@ from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.files.outputs import STREAM, Output, check_outputs
 from decogs.formats.files.regular_files import open_regular
+from decogs.formats.frames.ranges import frames_text
 from decogs.formats.stream.container import FRAME_KINDS, Packet, PacketKind, PacketReader, check_count, check_frame
 from decogs.formats.system.callbacks import OnProgress
 
 from ..output.resume import difference_of, difference_of_headers
 from ..output.stream_output import open_output
-from .manifest import Part, read_part, span_text, without_part
+from .manifest import Part, read_part, without_part
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ def _in_order(files: Sequence[_File]) -> list[_File]:
         if before is not None and frames.start < at:
             doubled = range(frames.start, min(at, frames.stop))
             raise UsageError(
-                f"{file.path}: it has {span_text(doubled)}, which {before.path} has as well; leave out one of the two"
+                f"{file.path}: it has {frames_text(doubled)}, which {before.path} has as well; leave out one of the two"
             )
         if frames.start > at:
             _refuse_gap(range(at, frames.start))
@@ -191,7 +192,7 @@ def _in_order(files: Sequence[_File]) -> list[_File]:
 
 def _refuse_gap(frames: range) -> NoReturn:
     only = f"`only` {frames.start}:{frames.stop}"
-    raise UsageError(f"`parts`: none of them has {span_text(frames)}; encode a part with {only}")
+    raise UsageError(f"`parts`: none of them has {frames_text(frames)}; encode a part with {only}")
 
 
 def _check_same(file: _File, first: _File) -> None:

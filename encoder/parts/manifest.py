@@ -15,7 +15,7 @@ import zstandard
 
 from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import UsageError
-from decogs.formats.frames.ranges import Frames, frame_slice
+from decogs.formats.frames.ranges import Frames, frame_slice, frames_text
 from decogs.formats.rigs import Rig, files_with
 from decogs.rig.pictures.ingest import RigFrame
 
@@ -61,7 +61,7 @@ class Part:
     def difference(self, other: Part) -> str:
         """What makes two parts belong to different encodes: a few words; empty if nothing does."""
         if self.take != other.take:
-            return f"it is a part of {span_text(self.take)}, not of {span_text(other.take)}"
+            return f"it is a part of {frames_text(self.take)}, not of {frames_text(other.take)}"
         changed = [name for name in {**self.inputs, **other.inputs} if self.inputs.get(name) != other.inputs.get(name)]
         if changed:
             return f"it was made from other input: the {changed[0]} differs"
@@ -74,18 +74,13 @@ class Part:
         return ""
 
 
-def span_text(frames: range) -> str:
-    """As people say it: "frame 5" or "frames 5 to 9"."""
-    return f"frame {frames.start}" if len(frames) == 1 else f"frames {frames.start} to {frames.stop - 1}"
-
-
 def part_frames(only: Frames, take: range, segment: int) -> range:
     """The rig's frames of a part of ``take``; raises UsageError unless it is made of whole segments, or a keyframe."""
     within = frame_slice(only, "only")
     frames = range(take.stop)[within]
     asked = f"`only` {frames.start}:{frames.stop}"
     if not len(frames) or frames.step != 1 or frames.start < take.start:
-        raise UsageError(f"`only`: there is no such part; the take has {span_text(take)}")
+        raise UsageError(f"`only`: there is no such part; the take has {frames_text(take)}")
     before = (frames.start - take.start) // segment * segment + take.start
     if frames.start != before:
         raise UsageError(f"{asked}: a part begins where a segment does, such as at {before} or {before + segment}")

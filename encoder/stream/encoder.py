@@ -34,12 +34,6 @@ from ..stopwatch import Stopwatch
 from .frame_report import FrameReporter
 from .options import RunOptions
 
-CUT_IN_CLOSED = (
-    "`closed`: there is another scene than in the take's first frame, from which every segment starts; each one that "
-    "begins in it trains a keyframe of its own. Encode every scene by itself (`frames`), or leave out `closed`"
-)
-"""Said once a take, when its first cut is met."""
-
 
 @dataclass(frozen=True)
 class Earlier:
@@ -63,7 +57,6 @@ class StreamEncoder:
         self._last: Encoded | None = None
         self._next: NextSegment | None = None
         self._reporter = FrameReporter(context, options.on_warning)
-        self._has_cut = False
         self._upcoming: Upcoming | None = None
 
     def check_header(self, first: int) -> None:
@@ -180,9 +173,6 @@ class StreamEncoder:
     def _report(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
         """Goes on from the frame, and reports it."""
         self._last = encoded
-        if encoded.cut and self._context.settings.closed and not self._has_cut:
-            self._warn(CUT_IN_CLOSED)
-        self._has_cut |= encoded.cut
         return self._reporter.report(encoded, watch)
 
     def _first_frame(self, task: Task) -> FirstFrame:

@@ -83,7 +83,8 @@ def encode_memory(
         size += every * _MATTE_BYTES * (1 + reads_ahead) + max(views) * _CUTTING_BYTES
     size += lenses * _LENS_BYTES + threads * _DRAWN_BYTES * max(views) + gaussians * _GAUSSIAN_BYTES
     first = sum(views) * _KEYFRAME_BYTES + first_points_memory([view.pinhole for view in ingest.views], threads)
-    later = sum(views) * (_LATER_FRAME_BYTES + _PICTURE_BYTES * settings.closed)
+    # Closed segments keep the first frame's pictures, and those of the last cut.
+    later = sum(views) * (_LATER_FRAME_BYTES + _PICTURE_BYTES * 2 * settings.closed)
     grown = round(MAX_GROWTH * gaussians)
     later += grown * len(views) * _GAUSSIAN_IN_VIEW_BYTES
     if settings.fading:

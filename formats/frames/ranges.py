@@ -1,8 +1,9 @@
-"""Ranges of frames: as values, and as the user of a command writes them, "A:B"."""
+"""Ranges of frames: as values, as the user of a command writes them, "A:B", and as messages name them."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from ..errors import UsageError
 
@@ -34,3 +35,16 @@ def frame_range(text: str | None) -> slice | None:
         raise UsageError(f"frames {text!r} are no range; write A:B, half-open as in Python, such as 0:10 or -5:")
     first, last = (int(end) if end else None for end in ends.groups())
     return slice(first, last)
+
+
+def frames_text(numbers: Sequence[int], *, most: int | None = None) -> str:
+    """ "frames 3 to 5, 9" for ascending numbers; of more than ``most`` rows the first ones, and how many there are."""
+    rows: list[list[int]] = []
+    for frame in numbers:
+        if rows and frame == rows[-1][1] + 1:
+            rows[-1][1] = frame
+        else:
+            rows.append([frame, frame])
+    named = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in rows[:most])
+    more = "" if most is None or len(rows) <= most else f" and {len(rows) - most} more"
+    return f"frame{'s'[: len(numbers) > 1]} {named}{more}"

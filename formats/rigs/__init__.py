@@ -6,6 +6,7 @@ from ..system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from .live import dropped_in as dropped_in
+    from .live import is_live as is_live
     from .live import open_live as open_live
     from .live import stop_waiting as stop_waiting
     from .opening import OnLost as OnLost
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "in_step": "steps",
     "dropped_in": "live",
+    "is_live": "live",
     "open_live": "live",
     "stop_waiting": "live",
     "OnLost": "opening",

@@ -234,6 +234,11 @@ def open_live(file: str | os.PathLike[str], *, seconds_per_frame: float | None =
     return rig if recording.every == 1 else replace(rig, warnings=(*rig.warnings, _warning_of(path, recording)))
 
 
+def is_live(rig: Rig) -> bool:
+    """Whether the rig's cameras are recording, so that no frame is read twice."""
+    return any(isinstance(source, LiveSource) for source in rig.sources)
+
+
 def dropped_in(rig: Rig, index: int) -> dict[str, str]:
     """Of a live rig's frame that was read, each camera without a picture of it, and why; told once."""
     recording = next((source.recording for source in rig.sources if isinstance(source, LiveSource)), None)

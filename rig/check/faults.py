@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from decogs.formats.frames.ranges import frames_text
+
 GOOD, USABLE, HARMFUL = "good", "usable", "harmful"
 """What a camera is good for: nothing is wrong; something is, but views are better with it; they are better without."""
 
@@ -27,6 +29,8 @@ _NOISY_TIMES, _NOISY_LEVELS = 3.0, 2.0
 """Noise over the cameras' median, and in levels, from which a camera is noisy."""
 _ONLY_NOISE_LEVELS = 25.0
 """Noise of pictures that show nothing else, if no other camera's match: white noise has 50 to 74 levels."""
+_NAMED_ROWS = 3
+"""Rows of frames that a fault names; of more it says how many there are."""
 _LATE_FRAMES = 0.5
 """Frames from which a camera is late or early."""
 EXPOSED_STOPS = 0.8
@@ -66,12 +70,13 @@ class Findings:
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault: its ``word``, what it looks like, and what to do; of ``camera``."""
+    """A fault of ``camera``: its ``word``, what it looks like, what to do, and the ``frames`` without a picture."""
 
     word: str
     camera: str
     looks: str
     remedy: str
+    frames: Sequence[int] = ()
 
     def __str__(self) -> str:
         return f"camera {self.camera} {self.looks}; {self.remedy}"
@@ -89,8 +94,11 @@ def faults_of(found: Findings) -> Iterator[Fault]:
     def fault(word: str, looks: str, remedy: str) -> Fault:
         return Fault(word, found.camera, looks, remedy)
 
+    def missing(word: str, looks: str, frames: Sequence[int], remedy: str) -> Fault:
+        return Fault(word, found.camera, f"{looks} in {frames_text(frames, most=_NAMED_ROWS)}", remedy, frames)
+
     if found.lost:
-        yield fault(DEAD, f"shows nothing in {_frames(found.lost)}", f"see to its cable and exposure, {left_out}")
+        yield missing(DEAD, "shows nothing", found.lost, f"see to its cable and exposure, {left_out}")
         return
     if found.noise >= _ONLY_NOISE_LEVELS and not found.matched:
         yield fault(
@@ -102,7 +110,7 @@ def faults_of(found: Findings) -> Iterator[Fault]:
     is_blurred = found.sharpness < BLURRED_BELOW
     # What is out of focus has little noise of its own, too.
     if found.hung and not is_blurred:
-        yield fault(FROZEN, f"repeats one picture in {_frames(found.hung)}", f"record it again, {left_out}")
+        yield missing(FROZEN, "repeats one picture", found.hung, f"record it again, {left_out}")
     if found.moving:
         yield fault(
             MOVING,
@@ -116,9 +124,9 @@ def faults_of(found: Findings) -> Iterator[Fault]:
     elif abs(found.late) >= _LATE_FRAMES and not (found.hung or found.moving):
         yield _late(found)
     if found.unread:
-        yield fault(DAMAGED, f"has no picture in {_frames(found.unread)}", found.damage)
+        yield missing(DAMAGED, "has no picture", found.unread, found.damage)
     if found.dropped and not is_blurred:
-        yield fault(DROPPED, f"has no picture of its own in {_frames(found.dropped)}", "look at its recorder")
+        yield missing(DROPPED, "has no picture of its own", found.dropped, "look at its recorder")
     if is_blurred:
         yield fault(
             BLURRED,
@@ -164,16 +172,3 @@ def _late(found: Findings) -> Fault:
         f"appears {frames} frame{'s' if frames != '1' else ''} {how} against the others",
         "find out when each camera started (decogs-sync), or encode with --sync auto",
     )
-
-
-def _frames(numbers: Sequence[int]) -> str:
-    """Frames in words: in rows, of which three at most are named."""
-    rows: list[list[int]] = []
-    for number in numbers:
-        if rows and number == rows[-1][1] + 1:
-            rows[-1][1] = number
-        else:
-            rows.append([number, number])
-    named = [f"{a}" if a == b else f"{a} to {b}" for a, b in rows[:3]]
-    more = f" and {len(rows) - 3} more" if len(rows) > 3 else ""
-    return ("frame " if len(numbers) == 1 else "frames ") + ", ".join(named) + more

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
+
 import numpy as np
 
 from decogs.decoder.subject import matte_checks
-from decogs.formats.system.callbacks import OnWarning
+from decogs.formats.errors import RigError
+from decogs.formats.frames.ranges import frames_text
+from decogs.formats.system.callbacks import OnProgress, OnWarning
+from decogs.rig.mattes import Mattes
 from decogs.rig.pictures.ingest import Ingest, RigFrame
 
 _MAX_WORN = 0.006
 """Share of a subject that has the screen's colour, in the view with most, from which it wears some."""
+_NAMED_ROWS = 3
+"""Rows of frames that are named; of more it is said how many there are."""
 
 
 def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> str:
@@ -25,3 +32,21 @@ def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> str:
             "elsewhere; dress it otherwise, or bring masks"
         )
     return agree
+
+
+def lost_mattes(mattes: Mattes, names: Collection[str], frames: range, on_frame: OnProgress) -> Iterator[str]:
+    """A line for every camera with ``frames`` whose matte cannot be had: an encode leaves the view out of those."""
+    lost: dict[str, dict[int, str]] = {}
+
+    def lose(index: int, name: str, error: RigError) -> None:
+        lost.setdefault(name, {})[index] = str(error)
+
+    read = mattes.given(names, frames.start, frames.stop, lose, step=frames.step)
+    for done, (index, given) in enumerate(zip(frames, read, strict=True), 1):
+        for name, matte in given.items():
+            if index not in lost.get(name, ()) and matte_checks.is_white(matte):
+                lose(index, name, RigError("it is white all over; white is subject, black is empty"))
+        on_frame(done, len(frames))
+    for name, found in lost.items():
+        where = frames_text(list(found), most=_NAMED_ROWS)
+        yield f"camera {name} has no matte in {where}, and is left out there: {next(iter(found.values()))}"

@@ -68,14 +68,14 @@ class Mattes:
         return matte_origin(self.rig, name, frame)
 
     def given(
-        self, names: Collection[str], start: int, stop: int, on_lost: OnLost | None = None
+        self, names: Collection[str], start: int, stop: int, on_lost: OnLost | None = None, *, step: int = 1
     ) -> Iterator[Mapping[str, FloatArray]]:
         """The mattes (H, W) that files have, by camera, of each frame; ``on_lost`` as of `read_frames`."""
         if self.rig is None:
-            yield from ({} for _ in range(start, stop))
+            yield from ({} for _ in range(start, stop, step))
             return
         having = [camera.name for camera in self.rig.cameras if camera.name in names]
-        for _, mattes in read_frames(self.rig, start, stop, names=having, on_lost=on_lost):
+        for _, mattes in read_frames(self.rig, start, stop, step=step, names=having, on_lost=on_lost):
             yield {name: alpha_of(matte) for name, matte in zip(having, mattes, strict=True)}
 
     def digest_inputs(self, name: str, given: FloatArray | None) -> Iterator[Picture]:

@@ -20,9 +20,7 @@ from decogs.codec.scene.digest import digest
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import render
 from decogs.decoder.reading.stream import open_stream
-from decogs.encoder import PRESETS
 from decogs.encoder.change.cuts import shows_another_scene
-from decogs.encoder.commands import encode_main
 from decogs.encoder.keyframe.first_frame import train_first_frame
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.errors import TrainingError
@@ -167,24 +165,11 @@ def test_a_replayed_packet_is_decoded_once(
 def test_a_cut_inside_and_at_the_start_of_segments(
     cut_rig: Path, encode: Any, tiny_settings: Any, closed: bool
 ) -> None:
-    """Closed segments start from the first keyframe: one that begins after the cut gets a keyframe again."""
+    """The first closed segment after the cut starts from its keyframe."""
     settings = replace(tiny_settings, segment=3, closed=closed)
     encoded = encode(cut_rig, settings=settings)
     assert check_decoded(encoded)[2:] == ["key", "key"]
-    assert [report.cut for report in encoded.report.frames] == [False, False, True, closed]
-
-
-def test_a_cut_in_a_closed_take_is_told_once_with_the_remedy(
-    cut_rig: Path, tiny_settings: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
-) -> None:
-    monkeypatch.setitem(PRESETS, "tiny", tiny_settings)
-    options = [str(cut_rig), "--preset", "tiny", "--segment", "1", "-q", "-o"]
-    for closed in (["--closed"], []):
-        assert encode_main([*options, str(tmp_path / f"{len(closed)}.dgs"), *closed]) == 0
-        said = capsys.readouterr().err.splitlines()
-        assert sum("leave out --closed" in line for line in said) == len(closed)
-        assert "frames 2 to 3: another scene" in "".join(said) or not closed
-        assert len([line for line in said if "another scene" in line]) == 1 + len(closed)
+    assert [report.cut for report in encoded.report.frames] == [False, False, True, False]
 
 
 def test_no_keyframe_is_trained_within_a_time_budget(cut_rig: Path, encode: Any, tiny_settings: Any) -> None:

@@ -24,9 +24,10 @@ from decogs.encoder.coding.time_control import TimeControl
 from decogs.encoder.frame.commit import next_memory
 from decogs.encoder.frame.encode_frame import Encoded, Task
 from decogs.encoder.frame.events import Kind, PendingFrame
-from decogs.encoder.frame.memory import Memory, SceneStart, restart_at_segment
+from decogs.encoder.frame.memory import Memory, restart_at_segment
 from decogs.encoder.frame.next_segment import NextSegment
 from decogs.encoder.frame.plan import FramePlan, light_only, plan_frame
+from decogs.encoder.frame.segment_starts import SceneStart, SegmentStarts
 from decogs.encoder.frame.train import train_frame
 from decogs.encoder.input.compensation.colour import remove_gain
 from decogs.encoder.settings.frame import SelectionSettings
@@ -336,18 +337,19 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
         seed=0,
         threads=1,
     )
-    key, corrections = state_of(4), Stub(restart=lambda: "the first frame's")
+    key = state_of(4)
     scene = Scene(Stub(lattice=default_lattice(1.0)), key, state_of(4, 1), empty_splats(0))
-    first = SceneStart(RigFrame(0, [PICTURE], []), stage=Stub())
+    corrections: Any = Stub(restart=lambda: "the first frame's")
+    first = SceneStart(key, Stub(), RigFrame(0, [PICTURE], []), corrections, stage=Stub())
+    starts = SegmentStarts(context.ingest, settings.segment, first)
     flash: Any = Stub()
     memory = memory_of(
         masks=MaskMemory.begin([0.5 * PICTURE]),
         rate=RateControl(1000.0, 3).after(PacketKind.DELTA, 400),
-        corrections=corrections,
         before_flash=flash,
-        first=first,
+        starts=starts,
     )
-    for given, frame in ((memory, 4), (replace(memory, first=None), 3)):
+    for given, frame in ((memory, 4), (replace(memory, starts=None), 3)):
         assert restart_at_segment(context, scene, given, frame, Stopwatch()) == (scene, given, False)
     again, fresh, is_start = restart_at_segment(context, scene, memory, 3, Stopwatch())
     assert is_start
@@ -357,7 +359,7 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     assert fresh.masks.references[0] is fresh.masks.previous[0] is PICTURE
     np.testing.assert_array_equal(fresh.motion.last, np.zeros((4, 3)))
     assert fresh.before_flash is None
-    assert (fresh.first, fresh.stage) == (first, first.stage)
+    assert (fresh.starts, fresh.stage) == (starts, first.stage)
 
 
 # The next segment
@@ -365,12 +367,12 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
 
 def segment_from(start: int, scenes: dict[int, Any], length: int = 3, first: Any = None) -> NextSegment:
     views: Any = Stub()
-    return NextSegment(start, first, scenes, views, length)
+    return NextSegment(start, state_of(4), first, scenes, views, length)
 
 
 def test_frames_go_over_in_even_steps_and_not_all_the_way() -> None:
     key = state_of(4)
-    mine = Stub(state=key, first=key)
+    mine = Stub(state=key)
     segment = segment_from(6, {frame: Stub(state=key, splats=frame) for frame in (3, 4, 5, 6)})
     fades = [segment.fade(frame, mine) for frame in (3, 4, 5)]
     assert [fade.share for fade in fades if fade is not None] == pytest.approx([0.3, 0.6, 0.9])
@@ -380,9 +382,8 @@ def test_frames_go_over_in_even_steps_and_not_all_the_way() -> None:
 
 def test_what_either_segment_changed_may_change_for_the_other() -> None:
     """Row 0 here, row 2 there, and row 4, which the keyframe has not."""
-    key = state_of(4)
     segment = segment_from(6, {5: Stub(state=state_of(4, 2), splats=None)})
-    fade = segment.fade(5, Stub(state=state_of(5, 0), first=key))
+    fade = segment.fade(5, Stub(state=state_of(5, 0)))
     assert fade is not None
     np.testing.assert_array_equal(fade.rows, [0, 2, 4])
 

@@ -336,9 +336,21 @@ def test_parts_have_the_same_bytes(rig: Path, tiny_rig: Any, tiny_settings: Any,
 def test_many_damaged_pictures_are_one_line(rig: Path) -> None:
     lost = {f"{name}/{frame}.png: is damaged": [frame] for name in ("a",) for frame in range(1, 9)}
     frames = [report(frame, {"a": why}) for why, (frame,) in lost.items()] + [report(9, {"b": "late"})]
-    assert list(left_out_warnings(frames)) == [
+    lines = [
         "camera a was left out of frames 1 to 8: a/1.png: is damaged (and 7 more such)",
         "camera b was left out of frame 9: late",
+    ]
+    assert list(left_out_warnings(frames, {})) == lines
+    assert list(left_out_warnings(frames, {"a": range(8), "b": {9}})) == lines[:1], "of one frame nothing was said"
+
+
+def test_a_lost_view_is_warned_of_once(rig: Path, tiny_settings: Any, tmp_path: Path) -> None:
+    """The analysis has seen it, and the encode meets it again."""
+    shorten(of(rig, CAMERA, FRAME))
+    said: list[str] = []
+    encode_rig(rig, tmp_path / "scene.dgs", tiny_settings, effects="auto", threads=1, on_warning=said.append)
+    assert [line.split(";")[0] for line in said if CAMERA in line] == [
+        f"camera {CAMERA} has no picture in frame {FRAME}"
     ]
 
 

@@ -221,7 +221,8 @@ def test_a_signal_leaves_nothing_of_a_stream(tmp_path: Path, ended_by: signal.Si
     """The command waits in the midst of its second frame."""
     program = """
 import signal, sys, time
-from decogs.encoder import commands, packing
+from decogs.encoder import commands
+from decogs.encoder.packing import packing
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored by what runs under nohup
 signal.signal(signal.SIGINT, signal.default_int_handler)
 def wait(*arguments):

@@ -194,6 +194,11 @@ export class Session {
     playback.position = Math.max(0, Math.min(frame, playback.complete ? playback.frameCount : playback.frameCount - 1));
     playback.ended = false;
     this.#standIn = -1;
+    if (this.lost.aborted) {
+      // Nobody shows the frame: playing begins there with another worker.
+      this.host.tell("timeupdate");
+      return;
+    }
     this.host.tell("seeking");
     this.#seekRequest = this.#requests + 1;
     this.#request(playback.due);
@@ -365,7 +370,7 @@ export class Session {
     this.#faults.say();
     if (!this.lost.aborted && this.frames.count > 0) this.#request(this.playback.due);
     else {
-      if (this.frames.count > 0) this.start ??= { frame: this.playback.due };
+      if (this.frames.count > 0) this.start ??= { frame: this.#seekLater >= 0 ? this.#seekLater : this.playback.due };
       this.host.reopen();
     }
   }
@@ -374,6 +379,7 @@ export class Session {
   readonly #die = (message: string): void => {
     this.#connection?.close();
     this.#connection = null;
+    this.#seekRequest = -1;
     this.#lose(new Error(message));
     this.fail(message);
     this.host.wake();

@@ -285,6 +285,19 @@ test("after its death, playing begins with another worker, where the picture was
   assert.equal(of.session.error, null);
 });
 
+for (const [what, act] of [
+  ["that was on its way ends with it", (of: Opened) => { of.session.seek(30); of.worker.die(); }],
+  ["after it waits for nobody", (of: Opened) => { of.worker.die(); of.session.seek(30); }],
+] as const) {
+  test(`a seek ${what}, and playing begins there`, () => {
+    const of = ready();
+    act(of);
+    assert.deepEqual([of.session.seeking, of.session.position], [false, 30]);
+    void of.session.play();
+    assert.equal(of.worker.asked("open")[0].first, 30);
+  });
+}
+
 test("a closed stream refuses what was asked of it, and who asks it", async () => {
   const of = ready();
   const asked = [of.session.ply(), of.session.still(0, {} as never)];

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -20,56 +19,14 @@ import numpy as np
 import pytest
 
 from decogs.formats.cameras import Camera
-from decogs.formats.colours.ycbcr import to_rgb
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import Rig, open_rig, read_frames
 from decogs.formats.videos import reading as videos
 from decogs.formats.videos.reading import VideoSource, open_video
-from rig_layouts import cameras, write_model
+from textured_videos import X264, long_video, texture, with_matrix, write
 
 CODEC_TOLERANCE = 4
 """MPEG-4 part 2 at OpenCV's default rate keeps a flat colour within 4 of 255 steps, limited range included."""
-X264 = {"crf": "5", "preset": "ultrafast"}
-
-
-def texture(size: tuple[int, int]) -> np.ndarray:
-    """Smooth colours without a symmetry, (H, W, 3) uint8."""
-    columns, rows = np.meshgrid(np.linspace(0, 1, size[0]), np.linspace(0, 1, size[1]))
-    shown = np.stack([columns, rows, (columns + 0.3) * (1 - rows)], axis=-1)
-    return (30 + 150 * shown / shown.max()).astype(np.uint8)
-
-
-def write(
-    path: Path,
-    codec: str = "libx264",
-    pixels: str = "yuv420p",
-    *,
-    frames: int = 6,
-    size: tuple[int, int] = (64, 48),
-    options: dict[str, str] | None = None,
-    kind: str | None = None,
-    flagged: range = range(0),
-) -> list[np.ndarray]:
-    """A video at 25 frames per second, and what went in; ``flagged``: frames with the flag of interlaced ones."""
-    shown = [np.roll(texture(size), 3 * t, axis=1) for t in range(frames)]
-    with av.open(str(path), "w", format=kind) as container:
-        stream = container.add_stream(codec, rate=25, options=X264 if options is None else options)
-        stream.width, stream.height, stream.pix_fmt, stream.time_base = *size, pixels, Fraction(1, 25)
-        for t, picture in enumerate(shown):
-            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-            if t in flagged:
-                graph = av.filter.Graph()
-                graph.link_nodes(
-                    graph.add_buffer(width=size[0], height=size[1], format="rgb24", time_base=Fraction(1, 25)),
-                    graph.add("setfield", "tff"),
-                    graph.add("buffersink"),
-                ).configure()
-                graph.push(frame)
-                frame = graph.pull()
-            frame.pts, frame.time_base = t, Fraction(1, 25)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-    return shown
 
 
 @pytest.fixture
@@ -115,20 +72,6 @@ def test_only_what_is_asked_for_is_handed_out(tmp_path: Path, make: Any, decoded
     for taken in (1, 2, 3):
         next(reader)
         assert len(decoded) == taken
-
-
-def long_video(path: Path, **options: str) -> VideoSource:
-    """200 frames of 64x48 that differ, with pictures coded out of order."""
-    texture = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=25, options=options)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for number in range(200):
-            picture = np.roll(texture, 3 * number, axis=1)
-            picture[:8] = number
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode())
-    return open_video(path)
 
 
 @pytest.mark.parametrize(
@@ -345,114 +288,6 @@ def test_a_list_of_other_files_is_no_video(tmp_path: Path, make: Any, text: str)
         open_video(tmp_path / "cam00.mp4")
 
 
-@pytest.mark.parametrize(("name", "reordered"), [("a.avi", True), ("a.mxf", True), ("raw.mp4", True), ("a.mp4", False)])
-def test_frames_are_in_order_where_only_their_coding_has_times(tmp_path: Path, name: str, reordered: bool) -> None:
-    """AVI has no times of presentation, MXF few, and copying a stream without a container cannot restore them."""
-    if name != "raw.mp4":
-        source = long_video(tmp_path / name, g="50", bf="3", preset="faster")
-    else:
-        long_video(tmp_path / "b.mp4", g="50", bf="3", preset="faster")
-        with av.open(str(tmp_path / "b.mp4")) as whole, av.open(str(tmp_path / name), "w") as copy:
-            target = copy.add_stream_from_template(whole.streams.video[0])
-            for packet in (packet for packet in whole.demux(video=0) if packet.size):
-                packet.pts, packet.stream = packet.dts, target
-                copy.mux(packet)
-        source = open_video(tmp_path / name)
-    assert (source.times is None) == reordered
-    frames = list(source.read(0, source.frame_count))
-    with av.open(str(tmp_path / name)) as container:
-        shown = [to_rgb(frame, source.siting) for frame in container.decode(video=0)]
-    assert all((ours == theirs).all() for ours, theirs in zip(frames, shown, strict=True))
-    np.testing.assert_array_equal(list(source.read(120, 123)), frames[120:123])
-
-
-@pytest.mark.parametrize("b_frames", [0, 1, 2, 3])
-def test_the_packed_bitstream_of_xvid_is_read_as_it_is_shown(tmp_path: Path, b_frames: int) -> None:
-    """A chunk with a picture and the first one that is shown before it, and an empty chunk in place of that one."""
-    coded = mpeg4_packets(14, b_frames)
-    expected = shown_by(coded)
-    for name, chunks in (("packed.avi", packed(coded)), ("plain.avi", coded)):
-        write_chunks(tmp_path / name, chunks)
-        source = open_video(tmp_path / name)
-        assert source.frame_count == len(expected) == 14
-        for start in (0, 5):
-            for picture, frame in zip(source.read(start, 14), expected[start:], strict=True):
-                np.testing.assert_array_equal(picture, to_rgb(frame, source.siting))
-
-
-def test_frames_that_a_recorder_dropped_repeat_the_one_before(tmp_path: Path) -> None:
-    """AVI has an empty chunk for each; a take stays in step."""
-    coded = mpeg4_packets(14, 0)
-    expected = [to_rgb(frame, (True, False)) for frame in shown_by(coded[:4] + coded[6:9] + coded[10:])]
-    write_chunks(tmp_path / "a.avi", [b"" if place in (4, 5, 9) else chunk for place, chunk in enumerate(coded)])
-    source = open_video(tmp_path / "a.avi")
-    order = [0, 1, 2, 3, 3, 3, 4, 5, 6, 6, 7, 8, 9, 10]
-    for start in (0, 4, 5, 6, 10):
-        for picture, place in zip(source.read(start, 14), order[start:], strict=True):
-            np.testing.assert_array_equal(picture, expected[place])
-
-
-@pytest.mark.parametrize("start", [8, 16, 23, 31])
-def test_a_seek_that_ends_between_keyframes_shows_no_frame_without_its_reference(tmp_path: Path, start: int) -> None:
-    """MPEG-TS has no list of keyframes, and the decoder of MPEG-4 shows what it cannot know as grey."""
-    write(tmp_path / "a.ts", "mpeg4", frames=36, kind="mpegts", options={"bf": "2", "g": "12", "b": "4M"})
-    source = open_video(tmp_path / "a.ts")
-    frames = list(source.read(0, 36))
-    np.testing.assert_array_equal(list(source.read(start, 36)), frames[start:])
-
-
-def mpeg4_packets(frames: int, b_frames: int) -> list[bytes]:
-    coder = av.CodecContext.create("mpeg4", "w")
-    coder.width, coder.height, coder.pix_fmt, coder.time_base, coder.framerate = 64, 48, "yuv420p", Fraction(1, 25), 25
-    coder.max_b_frames, coder.gop_size, coder.bit_rate = b_frames, 7, 4_000_000
-    packets = []
-    for t in range(frames):
-        frame = av.VideoFrame.from_ndarray(np.roll(texture((64, 48)), 3 * t, axis=1), format="rgb24")
-        frame = frame.reformat(format="yuv420p")
-        frame.pts, frame.time_base = t, Fraction(1, 25)
-        packets += coder.encode(frame)
-    return [bytes(packet) for packet in [*packets, *coder.encode()]]
-
-
-def shown_by(packets: list[bytes]) -> list[av.VideoFrame]:
-    coder = av.CodecContext.create("mpeg4", "r")
-    return [frame for packet in [*map(av.Packet, packets), None] for frame in coder.decode(packet)]
-
-
-def packed(packets: list[bytes]) -> list[bytes]:
-    """As XviD and DivX pack them. Source: ISO 14496-2, section 6.2.5 (vop_coding_type, vop_coded)."""
-
-    def is_b(packet: bytes) -> bool:
-        return packet[packet.index(b"\0\0\1\xb6") + 4] >> 6 == 2
-
-    not_coded = b"\0\0\1\xb6\x50\x5f"
-    chunks: list[bytes] = []
-    for place, packet in enumerate(packets):
-        marked = re.sub(b"\0\0\1\xb2[^\0]*", lambda _: b"\0\0\1\xb2DivX503b1393p", packet)
-        if not is_b(packet):
-            chunks.append(marked)
-        elif not is_b(packets[place - 1]):
-            chunks[-1] += marked
-        else:
-            chunks.append(marked)
-        if is_b(packet) and (place + 1 == len(packets) or not is_b(packets[place + 1])):
-            chunks.append(not_coded)
-    return chunks
-
-
-def write_chunks(path: Path, chunks: list[bytes]) -> None:
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("mpeg4", rate=25)
-        stream.width, stream.height, stream.pix_fmt, stream.time_base = 64, 48, "yuv420p", Fraction(1, 25)
-        stream.codec_context.codec_tag = "XVID"
-        for place, chunk in enumerate(chunks):
-            packet = av.Packet(chunk)
-            packet.pts = packet.dts = place
-            packet.time_base, packet.stream, packet.duration = Fraction(1, 25), stream, 1
-            packet.is_keyframe = b"\0\0\1\xb0" in chunk
-            container.mux(packet)
-
-
 def test_reordered_frames_of_the_sample_rig() -> None:
     """H.264 with B-frames: packets are not in order of presentation (the box ctts says so), frames are."""
     path = Path(__file__).parents[2] / "demo" / "workbench" / "cam01.mp4"
@@ -543,27 +378,6 @@ def test_one_frame_that_nobody_saw_when_opening_stops_the_reading(
         next(reader)
 
 
-def test_a_size_that_changes_is_found_when_the_video_is_opened(tmp_path: Path) -> None:
-    with av.open(str(tmp_path / "a.ts"), "w") as container:
-        container_stream = container.add_stream("libx264", rate=25, options=X264 | {"bf": "0"})
-        container_stream.width, container_stream.height, container_stream.pix_fmt = 64, 48, "yuv420p"
-        for part, size in enumerate([(64, 48), (96, 64)]):
-            coder = av.CodecContext.create("libx264", "w")
-            coder.width, coder.height, coder.pix_fmt, coder.options = *size, "yuv420p", X264 | {"bf": "0"}
-            coder.time_base = Fraction(1, 25)
-            for t in range(12):
-                frame = av.VideoFrame.from_ndarray(texture(size), format="rgb24").reformat(format="yuv420p")
-                frame.pts = 12 * part + t
-                for packet in coder.encode(frame):
-                    packet.stream = container_stream
-                    container.mux(packet)
-            for packet in coder.encode():
-                packet.stream = container_stream
-                container.mux(packet)
-    with pytest.raises(RigError, match=r"a\.ts: frame 12 is 96 x 64 pixels, the video started with 64 x 48"):
-        open_video(tmp_path / "a.ts")
-
-
 def test_columns_that_the_stream_crops_are_not_shown(tmp_path: Path) -> None:
     shown = write(tmp_path / "whole.mp4", frames=2)
     with av.open(str(tmp_path / "whole.mp4")) as whole, av.open(str(tmp_path / "a.mp4"), "w") as copy:
@@ -603,13 +417,6 @@ def test_pictures_before_an_open_gops_keyframe_are_not_counted(tmp_path: Path) -
     assert len(list(source.read(0, source.frame_count))) == source.frame_count
 
 
-def with_matrix(mp4: bytes, *values: int) -> bytes:
-    """The file with a, b, c, d of its track's display matrix replaced. Source: ISO 14496-12, section 8.3.2."""
-    at = mp4.index(b"tkhd") + 4 + 40
-    a, b, c, d = (value << 16 for value in values)
-    return mp4[:at] + struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30) + mp4[at + 36 :]
-
-
 @pytest.mark.parametrize("name", ["a.mp4", "odd.mp4"])
 @pytest.mark.parametrize("flipped", [False, True])
 @pytest.mark.parametrize("turns", range(4))
@@ -628,84 +435,6 @@ def test_pictures_are_turned_and_mirrored_as_shown(tmp_path: Path, turns: int, f
         assert picture.shape == turned.shape == (source.height, source.width, 3)
         assert np.abs(picture.astype(float) - turned).mean() < 3
         assert picture.flags.c_contiguous
-
-
-def with_aperture(mp4: bytes, *values: int) -> bytes:
-    """The file with a clean aperture: numerators and denominators of width, height, and right and down off the middle.
-
-    Source: ISO 14496-12, section 12.1.4.
-    """
-    data, box = bytearray(mp4), struct.pack(">I4s4IiIiI", 40, b"clap", *values)
-    parents = [data.find(kind) - 4 for kind in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"avc1")]
-    end = parents[-1] + int(struct.unpack_from(">I", data, parents[-1])[0])
-    assert data.find(b"mdat") < parents[0], "no place of pictures moves"
-    for at in parents:
-        struct.pack_into(">I", data, at, struct.unpack_from(">I", data, at)[0] + len(box))
-    data[end:end] = box
-    return bytes(data)
-
-
-@pytest.mark.parametrize("turns", [0, 1])
-@pytest.mark.parametrize("name", ["a.mov", "a.mp4", "a.mkv"])
-def test_a_clean_aperture_is_what_is_shown(tmp_path: Path, name: str, turns: int) -> None:
-    """40 x 30 pixels of 64 x 48, two right of the middle and three above it; FFmpeg's own words: "14/10/6/12"."""
-    shown = write(tmp_path / "whole.mov", frames=2)
-    boxed = with_aperture((tmp_path / "whole.mov").read_bytes(), 40, 1, 30, 1, 4, 2, -3, 1)
-    boxed = with_matrix(boxed, 0, 1, -1, 0) if turns else boxed
-    (tmp_path / "boxed.mov").write_bytes(boxed)
-    if name == "a.mkv":
-        _copied(tmp_path / "boxed.mov", tmp_path / name)  # by FFmpeg, which knows PixelCrop
-    else:
-        (tmp_path / name).write_bytes(boxed)
-    source = open_video(tmp_path / name)
-    for expected, picture in zip(shown, source.read(0, 2), strict=True):
-        within = np.rot90(expected[6:36, 14:54], -turns)
-        assert picture.shape == within.shape == (source.height, source.width, 3)
-        assert np.abs(picture.astype(float) - within).mean() < 3
-    whole = source.whole()
-    assert sorted((whole.width, whole.height)) == [48, 64]
-    assert np.abs(next(whole.read(0, 1)).astype(float) - np.rot90(shown[0], -turns)).mean() < 3
-
-
-def _copied(source: Path, copy: Path) -> None:
-    with av.open(str(source)) as read, av.open(str(copy), "w") as written:
-        stream = written.add_stream_from_template(read.streams.video[0])
-        for packet in read.demux(read.streams.video[0]):
-            if packet.dts is not None:
-                packet.stream = stream
-                written.mux(packet)
-
-
-@pytest.mark.parametrize(
-    "aperture",
-    [(0, 1, 0, 1, 0, 1, 0, 1), (40, 0, 30, 1, 0, 1, 0, 1), (80, 1, 60, 1, 0, 1, 0, 1), (40, 1, 30, 1, 99, 1, 0, 1)],
-)
-def test_a_clean_aperture_that_is_none_is_passed_over(tmp_path: Path, aperture: tuple[int, ...]) -> None:
-    """Nothing, a half of nothing, more than there is, and beside the picture."""
-    write(tmp_path / "a.mov", frames=1)
-    (tmp_path / "a.mov").write_bytes(with_aperture((tmp_path / "a.mov").read_bytes(), *aperture))
-    assert (open_video(tmp_path / "a.mov").width, open_video(tmp_path / "a.mov").height) == (64, 48)
-
-
-@pytest.mark.parametrize(("calibrated", "focal"), [((40, 30), 50.0), ((64, 48), 50.0), ((20, 15), 100.0)])
-def test_a_rig_is_calibrated_for_what_is_shown_or_for_the_whole(
-    tmp_path: Path, calibrated: tuple[int, int], focal: float
-) -> None:
-    """A calibration of another size is scaled to what is shown, which is not sure, and said."""
-    write(tmp_path / "whole.mov", frames=1)
-    boxed = with_aperture((tmp_path / "whole.mov").read_bytes(), 40, 1, 30, 1, 0, 1, 0, 1)
-    (tmp_path / "whole.mov").unlink()
-    posed = []
-    for camera in cameras("opencv", ["left", "right"]):
-        lens = replace(camera, width=calibrated[0], height=calibrated[1], fx=50.0, fy=50.0)
-        posed.append((f"{camera.name}.png", lens))
-        (tmp_path / f"{camera.name}.mov").write_bytes(boxed)
-    write_model(tmp_path / "sparse/0", posed)
-    rig = open_rig(tmp_path)
-    size = calibrated if calibrated[0] >= 40 else (40, 30)
-    assert {(camera.width, camera.height, camera.fx) for camera in rig.cameras} == {(*size, focal)}
-    assert [frame.shape for frame in next(read_frames(rig))[1]] == [(size[1], size[0], 3)] * 2
-    assert any("clean aperture" in warning for warning in rig.warnings) == (calibrated == (20, 15))
 
 
 def test_an_angle_between_quarter_turns_is_refused(tmp_path: Path) -> None:

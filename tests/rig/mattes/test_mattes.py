@@ -471,6 +471,26 @@ def test_an_analysis_says_that_mattes_agree_before_it_looks_at_the_rig(
     assert "mattes agree" not in "".join(capsys.readouterr())
 
 
+def test_an_analysis_names_mattes_of_later_frames_that_are_lost(
+    green: Path, masks: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only the first frame's mattes are compared with each other; those of all frames are read."""
+    assert analyze_main([str(green), "--masks", str(masks), "-q"]) == 0
+    assert "matte in" not in capsys.readouterr().err
+    last = sorted((masks / NAMES[1]).iterdir())[-1]
+    last.write_bytes(last.read_bytes()[:40])
+    white = sorted((masks / NAMES[0]).iterdir())[-1]
+    assert cv2.imwrite(str(white), np.full_like(cv2.imread(str(white), 0), 255))
+    assert analyze_main([str(green), "--masks", str(masks), "-q"]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "no matte in" in line]
+    frame = int(last.stem)
+    assert len(said) == 2
+    assert f"camera {NAMES[1]} has no matte in frame {frame}, and is left out there: {last}: " in "".join(said)
+    assert f"camera {NAMES[0]} has no matte in frame {frame}, and is left out there: it is white all over" in "".join(
+        said
+    )
+
+
 def test_two_cameras_cannot_say_whether_mattes_agree(green: Path, masks: Path) -> None:
     ingest = opened(green, masks=masks, holdout=tuple(NAMES[2:]))
     assert check_mattes(ingest, frame_of(ingest), lambda text: None).endswith("whether they agree only 3 cameras say")
