@@ -46,6 +46,10 @@ class _View(CpuFixedView):
         self._done.append(("redraw", self.camera.name))
         return super().redraw(*given, **named)
 
+    def refresh(self, *given: Any, **named: Any) -> Any:
+        self._done.append(("refresh", self.camera.name))
+        return super().refresh(*given, **named)
+
     def backward(self, *given: Any, **named: Any) -> Any:
         self._done.append(("backward", self.camera.name))
         return super().backward(*given, **named)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ import pytest
 from decogs.codec.scene.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder.analysis import EffectChoice
+from decogs.encoder.keyframe import first_frame
 from decogs.encoder.keyframe.harmonics import MIN_SH_SHARE, trim_sh_degree
+from decogs.encoder.keyframe.train import TUNING, train_keyframe
 from encode_rig import encode_rig as encode
 
 COUNT = 1000
@@ -58,12 +61,13 @@ def test_only_auto_asks_the_keyframe(
     tmp_path: Path,
     effects: EffectChoice,
     degree: int,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Where harmonics are hardly trained, none is worth its bytes. An encode cut off goes on with its degree."""
     output, again = tmp_path / "scene.dgs", tmp_path / "again.dgs"
-    keyframe = tiny_settings.keyframe
-    flat = replace(tiny_settings, keyframe=replace(keyframe, rates=replace(keyframe.rates, sh_rest=1e-9)))
-    options = {"holdout": [tiny_rig.held_out], "settings": flat, "effects": effects}
+    flat = replace(TUNING, rates=replace(TUNING.rates, sh_rest=1e-9))
+    monkeypatch.setattr(first_frame, "train_keyframe", partial(train_keyframe, tuning=flat))
+    options = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "effects": effects}
     encode(moving_rig, output, **options)
     with open_stream(output) as stream:
         assert stream.header.sh_degree == degree

@@ -333,7 +333,7 @@ def test_a_frame_without_changes_costs_its_masks_and_nothing_else(encode: Any, s
     again = encode(still_rig, keyframe=still.path, kernel=kernel)
     assert [set(report.seconds) for report in again.report.frames[1:]] == [{"masks", "write", "measure"}] * 3
     assert kernel.done, "or this test shows nothing"
-    once = {("redraw", camera) for camera in kernel.viewed}
+    once = {("refresh", camera) for camera in kernel.viewed}
     assert sorted(kernel.done) == sorted(once), "for the keyframe, and never again"
 
 

@@ -53,12 +53,12 @@ WAY = np.float32([[0.5, 0, 0], [0, -0.25, 1]])
 
 def test_what_moves_goes_on_as_far_as_frames_have_passed() -> None:
     """Frames 1, 3 and 4 are trained and 2 is deferred: what moved up to 3 took two frames, up to 4 one."""
-    frame: Any = SimpleNamespace(restarted=False)
     scene: Any = SimpleNamespace(displacements=lambda before: WAY, state=None)
 
     def after(motion: Motion, *, deferred: bool) -> Motion:
         plan: Any = SimpleNamespace(deferred=deferred)
-        return _motion_after(motion, plan, frame, scene, scene)
+        frame: Any = SimpleNamespace(restarted=False, scene=scene, memory=SimpleNamespace(motion=motion))
+        return _motion_after(frame, plan, scene)
 
     trained = after(Motion.at_rest(2), deferred=False)
     np.testing.assert_array_equal(trained.predict(), WAY)
@@ -70,5 +70,7 @@ def test_what_moves_goes_on_as_far_as_frames_have_passed() -> None:
 
 
 def test_a_restarted_frame_has_no_velocity() -> None:
-    given: Any = SimpleNamespace(restarted=True, deferred=False, state=range(2))
-    assert not _motion_after(Motion(WAY), given, given, given, given).predict().any()
+    given: Any = SimpleNamespace(
+        restarted=True, deferred=False, state=range(2), memory=SimpleNamespace(motion=Motion(WAY))
+    )
+    assert not _motion_after(given, given, given).predict().any()

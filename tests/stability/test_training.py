@@ -241,8 +241,9 @@ def test_a_camera_that_dies_in_mid_stream_is_left_out_from_then_on(
     assert again.report.frames == [], "and resuming knows it"
     command = [str(rig), "-o", str(tmp_path / "x.dgs"), "--keyframe", str(moving[1].path), "--holdout", "cam02"]
     assert encode_main([*command, "--preset", "draft", "--frames", ":2", "--threads", "1"]) == 0
-    warning = f"decogs-encode: warning: camera cam03 was left out of frame 1: its picture is {left_out[1]['cam03']}"
-    assert warning in capsys.readouterr().err.splitlines()
+    (warning,) = (line for line in capsys.readouterr().err.splitlines() if "cam03" in line)
+    assert warning.startswith("decogs-encode: warning: camera cam03 ")
+    assert "frame 1" in warning, "named once, by the analysis"
 
 
 def test_a_stream_with_a_dropout_is_resumed_to_the_same_bytes(

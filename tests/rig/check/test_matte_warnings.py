@@ -16,7 +16,7 @@ NAMES = ("cam00", "cam01")
 
 def warnings(worn: tuple[float, ...], told: tuple[str, ...] = ()) -> list[str]:
     views = [SimpleNamespace(camera=SimpleNamespace(name=name), pinhole=None) for name in NAMES]
-    ingest: Any = SimpleNamespace(views=views, matte_warnings=told, matte_place=lambda name, index: f"{name}/{index}")
+    ingest: Any = SimpleNamespace(views=views, matte_warnings=told, matte_origin=lambda name, index: f"{name}/{index}")
     said: list[str] = []
     frame = RigFrame(3, [], [], alpha=[np.eye(8, dtype=np.float32)] * 2, worn=worn)
     check_mattes(ingest, frame, said.append)
