@@ -215,7 +215,8 @@ test("of pictures that are asked for again and again one is waited for, in the w
   assert.deepEqual([waiting.size, ticker.request], [0, 9], "the window before may have been closed");
   const now = performance.now();
   asked!(3); // each window counts from its own beginning
-  assert.ok(ticks[2][0] >= now && ticks[2][1] === 0.1);
+  assert.ok(ticks[2][0] >= now);
+  assert.equal(ticks[2][1], Math.min(0.1, Math.max(0, (ticks[2][0] - 70) / 1000)), "0.1 at most, since the last one");
   ticker.moveTo(moved);
   assert.equal(ticker.request, 0);
   ticker.moveTo(page as unknown as Document);
