@@ -51,7 +51,7 @@ _LIGHT_WINDOW_PIXELS = 7
 class PixelChange:
     """Where one view's picture changed, ``raw`` (H, W), and its ``noise`` floor in 8-bit levels.
 
-    ``lost``: reason why the picture does not show its frame (`input.dropouts`); "" otherwise.
+    ``lost``: reason why the picture does not show its frame (`rig.pictures.dropouts`); "" otherwise.
     """
 
     raw: BoolArray
@@ -65,7 +65,7 @@ class FrameMask:
 
     The region of interest is the dilation of the changed pixels and of faint light. ``faint_light``: fraction of the
     area outside other changes that light of the low threshold reaches. ``lost``: reason why the picture does not show
-    its frame (`input.dropouts`), with empty masks; "" otherwise.
+    its frame (`rig.pictures.dropouts`), with empty masks; "" otherwise.
     """
 
     raw: BoolArray

@@ -29,7 +29,7 @@ class FrameReport:
     written packet, without measuring (the stage "measure").
     ``replayed``: the frame was written by an earlier encode. ``effects``: those that it was trained for; none for a
     first frame, a replayed one and a deferred one, which a time budget leaves untrained.
-    ``left_out``: cameras without a usable picture of the frame, and why (`input.dropouts`).
+    ``left_out``: cameras without a usable picture of the frame, and why (`rig.pictures.dropouts`).
     ``dropped``: cameras that had no picture of the frame, or none that can be cut out, and why.
     ``rejected``: training made the pictures worse, so the scene was kept.
     ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".

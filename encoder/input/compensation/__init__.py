@@ -4,7 +4,7 @@ Masks, selection and training see compensated pictures: the scene's own colours,
 packet codes its corrections, and a decoder applies them to show a camera's view as recorded. Nothing here runs, and
 nothing is allocated, unless a camera is named.
 
-A change that all cameras share is the scene's light and stays in their pictures (`analysis/light.py` has the rule). A
+A change that all cameras share is the scene's light and stays in their pictures (`rig/check/light.py` has the rule). A
 later frame's shifts are those that differ from camera to camera at the same points of the scene. The cameras that are
 not named define neutral. Where all are named, their median does, as far as it exceeds the median that so many cameras
 have by chance, each drifting by itself.
