@@ -17,7 +17,8 @@ from decogs.formats.splats import Splats
 class NotingKernel(CpuKernel):
     """``viewed``: fixed views made, by camera; ``rates`` of steps taken.
 
-    ``done``: names of what its views, gradients and optimisers do, and the camera, "" for none; ``times``: how often.
+    ``done``: names of what it, its views, gradients and optimisers do, and the camera, "" for none;
+    ``times``: how often.
     """
 
     def __init__(self, threads: int = 1) -> None:
@@ -30,6 +31,10 @@ class NotingKernel(CpuKernel):
     def note(self, what: str, camera: str = "") -> None:
         self.done.append((what, camera))
         self.times[what] += 1
+
+    def forward(self, splats: Splats, camera: Camera, **options: Any) -> Any:
+        self.note("forward", camera.name)
+        return super().forward(splats, camera, **options)
 
     def fixed_view(self, camera: Camera) -> CpuFixedView:
         self.viewed.append(camera.name)

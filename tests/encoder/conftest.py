@@ -18,7 +18,6 @@ from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
 from decogs.encoder.frame.context import Context
 from decogs.encoder.frame.encode_frame import Encoded as EncodedFrame
-from decogs.encoder.frame.memory import Memory
 from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.settings.frame import FrameSettings, MaskSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
@@ -53,12 +52,12 @@ def tiny_settings() -> EncodeSettings:
 
 @dataclass
 class Encoded:
-    """One encode and what was seen of it from outside: after every frame, the encoder's own state, memory and S_t."""
+    """One encode and what was seen of it: after every frame, the encoder's own state, all it has of it, and S_t."""
 
     path: Path
     report: EncodeReport
     states: list[State] = field(default_factory=list)
-    memories: list[Memory] = field(default_factory=list)
+    frames: list[EncodedFrame] = field(default_factory=list)
     selected: dict[int, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -80,13 +79,13 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     chosen: dict[str, Any] = {
         "settings": TINY, "holdout": [HELD_OUT], "seed": 0, "threads": 1, "scale": 1.0, "on_frame": None,
         "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None, "resume": False, "kernel": None,
-        "context": lambda context: context, "read_ahead": True,
+        "context": lambda context: context,
     } | options  # fmt: skip
     opened = open_rig(rig)
     lens = chosen["settings"].corrections.lens
     ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"], lens=lens)
     states: list[State] = []
-    memories: list[Memory] = []
+    frames: list[EncodedFrame] = []
     selected: dict[int, np.ndarray] = {}
     select, begin, encode_one = plan.select, stream_encoder.begin_scene, stream_encoder.encode_frame
 
@@ -94,7 +93,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         def and_noted(*arguments: Any) -> EncodedFrame:
             encoded = encode(*arguments)
             states.append(encoded.scene.state)
-            memories.append(encoded.memory)
+            frames.append(encoded)
             return encoded
 
         return and_noted
@@ -115,13 +114,12 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
             keyframe=None if chosen["keyframe"] is None else read_keyframe(chosen["keyframe"]),
             on_frame=chosen["on_frame"],
             on_keyframe_step=chosen["on_keyframe_step"],
-            read_ahead=chosen["read_ahead"],
         )
         span = range(chosen["start"], chosen["stop"] or opened.frame_count)
         given = {name: chosen[name] for name in ("seed", "threads", "kernel")}
         context = chosen["context"](Context.of(ingest, chosen["settings"], **given))
         report = encode_stream(context, output, span, options, resume=chosen["resume"])
-    return Encoded(output, report, states, memories, selected)
+    return Encoded(output, report, states, frames, selected)
 
 
 @pytest.fixture(scope="session")

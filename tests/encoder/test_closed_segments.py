@@ -191,7 +191,7 @@ def test_every_closed_segment_has_a_rate_control_of_its_own(
     encode: Any, rig_of: Any, key: Path, tiny_settings: Any
 ) -> None:
     encoded = encode(rig_of(MOMENTS), settings=closed(of_budget(tiny_settings), cross_fade=0), keyframe=key)
-    assert [memory.rate.frames for memory in encoded.memories] == [0, 1, 2, 1, 2, 3], "each counts from its start"
+    assert [frame.memory.rate.frames for frame in encoded.frames] == [0, 1, 2, 1, 2, 3], "each counts from its start"
 
 
 @pytest.mark.parametrize(

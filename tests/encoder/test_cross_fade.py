@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -20,8 +21,9 @@ from decogs.encoder.backends import ATTRIBUTES, training_kernel
 from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.frame.cross_fade import CrossFade, cross_fade, fade_cameras
 from decogs.encoder.frame.next_segment import with_following
+from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
-from decogs.encoder.training.method import TrainedFrame
+from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame, TrainingContext
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import Splats, empty_splats, take_splats
 from decogs.rig.pictures.ingest import RigFrame
@@ -177,6 +179,38 @@ def changes(path: Path, camera: str) -> list[float]:
     with open_stream(path) as stream:
         seen = [render_view(stream.header, frame.splats, camera, threads=1).image for frame in stream.frames()]
     return [float(np.abs(now - was).mean()) for was, now in pairwise(seen)]
+
+
+class Noted(DecogsTrainer):
+    """Notes the frames that it trains; one diverges."""
+
+    def __init__(self, context: TrainingContext, noted: Counter[int], diverges: int) -> None:
+        super().__init__(context)
+        self._noted, self._diverges = noted, diverges
+
+    def train(self, frame: FrameInput, /) -> TrainedFrame:
+        self._noted[frame.index] += 1
+        return replace(super().train(frame), rejected=frame.index == self._diverges)
+
+
+@pytest.mark.parametrize("diverges", [-1, 6])
+def test_a_segment_is_trained_once_for_all_frames_that_go_over_to_it(
+    encode: Any, tiny_rig: Any, moving: Any, tiny_settings: Any, tmp_path: Path, diverges: int
+) -> None:
+    """Its first frame in three rounds, and from there back; those frames are counted on from the start."""
+    rig, noted = tiny_rig.write(tmp_path / "rig", frames=(0, 1, 3, 1, 3, 1, 3)), Counter[int]()
+    encoded = encode(
+        rig,
+        settings=replace(tiny_settings, segment=3, closed=True, cross_fade=2),
+        keyframe=moving.path,
+        context=lambda context: replace(
+            context, method=FrameMethod(lambda constants: Noted(constants, noted, diverges))
+        ),
+    )
+    by_itself, backwards = (1, 2, 4, 5), (4, 5, 7, 8)
+    rounds = {3: 3, 6: 3 if diverges < 0 else 1}
+    assert noted == Counter([*by_itself, *backwards]) + Counter(rounds)
+    assert [frame.rejected for frame in encoded.report.frames] == [index == diverges for index in range(7)]
 
 
 def test_the_start_itself_has_the_same_bits(encode: Any, still_rig: Path, tiny_settings: Any) -> None:
