@@ -15,9 +15,9 @@ from decogs.formats.splats import Splats
 
 
 class NotingKernel(CpuKernel):
-    """``viewed``: fixed views made, by camera; ``rates`` of steps taken.
+    """``viewed``: fixed views made, by camera; ``rendered``: pictures without one; ``rates`` of steps taken.
 
-    ``done``: names of what it, its views, gradients and optimisers do, and the camera, "" for none;
+    ``done``: names of what its views, gradients and optimisers do, and the camera, "" for none;
     ``times``: how often.
     """
 
@@ -25,7 +25,7 @@ class NotingKernel(CpuKernel):
         super().__init__(threads)
         self.viewed: list[str] = []
         self.done: list[tuple[str, Any]] = []
-        self.times: Counter[str] = Counter()
+        self.times, self.rendered = Counter[str](), Counter[str]()
         self.rates: list[LearningRates] = []
 
     def note(self, what: str, camera: str = "") -> None:
@@ -33,7 +33,7 @@ class NotingKernel(CpuKernel):
         self.times[what] += 1
 
     def forward(self, splats: Splats, camera: Camera, **options: Any) -> Any:
-        self.note("forward", camera.name)
+        self.rendered[camera.name] += 1
         return super().forward(splats, camera, **options)
 
     def fixed_view(self, camera: Camera) -> CpuFixedView:

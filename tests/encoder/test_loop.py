@@ -221,14 +221,14 @@ def test_processor_seconds_are_those_of_the_frame_without_the_measuring(
 ) -> None:
     """By a clock that pictures move: each one drawn in training by a second, one rendered to be measured by 1000."""
     kernel, drawn = NotingKernel(), [0]
-    monkeypatch.setattr(time, "process_time", lambda: kernel.times["draw"] + 1000 * kernel.times["forward"])
+    monkeypatch.setattr(time, "process_time", lambda: kernel.times["draw"] + 1000 * kernel.rendered.total())
     frames = encode(
         moving_rig, keyframe=moving.path, kernel=kernel, on_frame=lambda _: drawn.append(kernel.times["draw"])
     ).report.frames
     assert [frame.kind for frame in frames] == ["key", "delta", "skip", "delta"]
     assert [frame.cpu_seconds for frame in frames] == np.diff(drawn).tolist()
     assert frames[1].cpu_seconds > 0
-    assert kernel.times["forward"] == len(frames), "the held-out view of each"
+    assert kernel.rendered.total() == len(frames), "the held-out view of each"
 
 
 def test_header_holds_what_a_decoder_needs_without_the_rig(moving: Any, tiny_rig: Any, tiny_settings: Any) -> None:
