@@ -252,9 +252,9 @@ def test_no_frame_goes_over_to_another_scene(encode: Any, tiny_rig: Any, tiny_se
 
 
 def test_the_log_has_the_steps_of_the_frames_that_are_written(
-    still_rig: Path, fades: Any, tiny_settings: Any, tmp_path: Path
+    still_rig: Path, fades: Any, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
-    log, given = tmp_path / "steps.jsonl", {"threads": 1, "keyframe": fades.path}
+    log, given = tmp_path / "steps.jsonl", {"threads": 1, "keyframe": fades.path, "holdout": [tiny_rig.held_out]}
     encode_rig(still_rig, tmp_path / "x.dgs", fading(tiny_settings), convergence_log=log, **given)
     stages: dict[int, dict[str, int]] = {}
     for record in map(json.loads, log.read_text().splitlines()):
