@@ -519,8 +519,8 @@ def _summary(report: EncodeReport) -> list[str]:
 def _held_out(report: EncodeReport) -> list[str]:
     """The held-out cameras' PSNR; with a scale, that of the scaled pictures and that of what is decoded."""
     lines = []
-    for place, (name, what) in enumerate((("held_out_psnr", "scaled"), ("held_out_own_size_psnr", "own size"))):
-        sizes = dict.fromkeys(each[place] for each in report.held_out_sizes.values())
+    for index, (name, what) in enumerate((("held_out_psnr", "scaled"), ("held_out_own_size_psnr", "own size"))):
+        sizes = dict.fromkeys(each[index] for each in report.held_out_sizes.values())
         values = [value for frame in report.frames if (value := getattr(frame, name)) is not None]
         at = "" if report.frames[0].scale == 1 else f" at {', '.join(f'{w}x{h}' for w, h in sizes)} ({what})"
         if values:
