@@ -232,8 +232,9 @@ def _with_lenses_of(lenses: Given, mapped: Mapped, matched: Matched) -> Mapped:
 def _adjust(model: Any, *, focal: bool, bends: bool, centre: bool) -> None:
     """Bundle adjustment with this of the lenses free, which leaves out what is far off, twice.
 
-    The second time a residual counts by its ratio to the median one. Points that slide along edges have residuals too
-    small to be left out, and agree with one another: with equal weights they bend the focal lengths of few cameras.
+    The second time a residual counts by its ratio to the median one. A feature on an edge matches anywhere along the
+    edge. Its residual is too small to be left out, and neighbours err alike: with equal weights such points bend the
+    focal lengths of few cameras.
     """
     pycolmap = require_pycolmap()
     options = pycolmap.BundleAdjustmentOptions()

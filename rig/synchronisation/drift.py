@@ -110,7 +110,7 @@ def _by_sound(rig: Rig, frames: range, each: Each) -> StartEstimate:
     sounds = list(each(lambda camera: _sound(rig, camera.name, frames), rig.cameras))
     heard = starts_by_sound(rig.cameras, sounds, metres_of(rig.length_unit))
     rate = float(rig.timeline.rate or 1)
-    # The way of the sound is the same at both ends, so that only the onsets' own error counts.
+    # Sound takes as long to arrive at both ends, so that only the onsets' own error counts.
     return StartEstimate(heard.starts * rate, np.zeros(len(sounds)), heard.pair_agreement)
 
 
