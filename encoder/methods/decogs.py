@@ -24,7 +24,15 @@ from ..training.frame_training import FrameTraining, LossOfView, Step, frame_tra
 from ..training.losses import focus_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
 from ..training.relighting import relight
-from ..training.schedule import MAX_STRETCH, Pace, StepSchedule, iteration_factor, rates_at, seconds_at_least
+from ..training.schedule import (
+    MAX_STRETCH,
+    Pace,
+    StepSchedule,
+    brighter_iteration_factor,
+    iteration_factor,
+    rates_at,
+    seconds_at_least,
+)
 from ..training.selective_densification import densify
 from ..training.significance import revert_insignificant
 from ..training.warm_start import shared_displacements
@@ -62,9 +70,8 @@ class DecogsTrainer:
             probes = _probes(training)
             before = training.squared_error(probes)
             work.optimiser.put(means=next(moved_on))
-        if frame.relit:
-            relight(training, work)
-        factor = _iteration_factor(training, work, probes)
+        brighter = frame.relit and relight(training, work)
+        factor = _iteration_factor(training, work, probes, brighter=brighter)
         schedule = StepSchedule(frame.settings.joint_iterations, frame.stopping.deadline, factor=factor)
         growth = _Growth(training, work)
         _train(training, work, schedule, growth)
@@ -100,12 +107,16 @@ def _smooth_displacements(work: WorkingSet) -> None:
     work.optimiser.put(old, means=before + shared_displacements(before, now - before, _SMOOTHING_NEIGHBOURS))
 
 
-def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequence[int]) -> float:
-    """Factor of this frame's iterations."""
-    if not training.settings.adaptive_iterations.usual_miss:
-        return 1.0
-    training.draw(probes, work, work.optimiser)
+def _iteration_factor(
+    training: FrameTraining, work: WorkingSet, probes: Sequence[int], *, brighter: bool = False
+) -> float:
+    """Factor of this frame's iterations; ``brighter``: its light is, by more than steps follow."""
     settings = training.settings
+    if not settings.adaptive_iterations.usual_miss:
+        return 1.0
+    if brighter and training.frame.stopping.deadline is None:
+        return brighter_iteration_factor(settings.joint_iterations)
+    training.draw(probes, work, work.optimiser)
     return iteration_factor(settings.adaptive_iterations, settings.joint_iterations, training.errors(probes))
 
 

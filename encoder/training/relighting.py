@@ -23,12 +23,20 @@ _ROUNDS = 3
 """Rounds of gains: Gaussians of different gains overlap. Eight are no better once trained."""
 _MAX_GAIN = 16.0
 """Largest gain of a round, and the inverse of the least."""
+_DARKEST = 0.01
+"""Least colour before the rounds of a brighter light: no gain makes black brighter, and it has no gradient."""
 _LEAST_SUM = 1e-3
 """Pixels of white that are added to both sums: what hardly shows keeps its colour."""
 
 
-def relight(training: FrameTraining, work: WorkingSet) -> None:
-    """Scales the colours under training so that renderings get the pictures' light."""
+def relight(training: FrameTraining, work: WorkingSet) -> bool:
+    """Scales the colours under training so that renderings get the pictures' light; whether that is brighter."""
+    training.draw(training.used, work, work.optimiser)
+    brighter = sum(float(errors.sum()) for errors in training.errors(training.used)) < 0
+    if brighter:
+        sh = work.values.sh.copy()
+        sh[:, 0] = np.maximum(sh[:, 0], np.float32((_DARKEST - 0.5) / SH_C0))
+        work.optimiser.put(sh=sh)
     for _ in range(_ROUNDS):
         recorded, rendered = np.full((2, len(work.rows), 3), _LEAST_SUM, np.float32)
         training.draw(training.used, work, work.optimiser)
@@ -41,6 +49,7 @@ def relight(training: FrameTraining, work: WorkingSet) -> None:
         # The colour is a half more than its harmonics.
         sh[:, 0] += (gain - 1) * np.float32(0.5 / SH_C0)
         work.optimiser.put(sh=sh)
+    return brighter
 
 
 def _weighed(view: FixedView, picture: FloatArray) -> FloatArray:

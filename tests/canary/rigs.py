@@ -173,11 +173,11 @@ def write_rig(name: str, folder: Path) -> Path:
             clean = to_8bit(render_view(_Lookup((view,)), scene, view.name).image)  # type: ignore[arg-type]
             noisy = np.clip(np.rint(clean + random.normal(0, _NOISE, clean.shape)), 0, 255).astype(np.uint8)
             assert cv2.imwrite(str(folder / view.name / f"{frame:04d}.png"), noisy[..., ::-1])
-    (folder / "rig.json").write_text(json.dumps(_document(rig.cameras)))
+    (folder / "rig.json").write_text(json.dumps(rig_document(rig.cameras)))
     return folder
 
 
-def _document(cameras: Sequence[Camera]) -> dict[str, object]:
+def rig_document(cameras: Sequence[Camera]) -> dict[str, object]:
     entries = [
         {
             "name": view.name,

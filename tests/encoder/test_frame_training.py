@@ -23,7 +23,7 @@ from decogs.encoder.training.method import TrainedFrame, TrainingContext
 from decogs.encoder.training.schedule import MIN_STEPS, Pace, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
 from decogs.formats.errors import TrainingError
-from decogs.formats.splats import Splats, take_splats
+from decogs.formats.splats import SH_C0, Splats, take_splats
 from noting_kernel import NotingKernel
 from one_frame import Case, NewTrainer, Trainer, bits, moved_square, train
 
@@ -92,6 +92,18 @@ def test_colours_follow_a_light_that_steps_do_not_reach(case: Case, new: NewTrai
     lit = replace(case, selected=np.ones(len(case.scene), bool), pictures=pictures)
     left = [error(lit, applied(lit.scene, lit.train(few, new, relit=relit))) for relit in (False, True)]
     assert left[1] < 0.1 * left[0]
+
+
+@METHODS
+def test_black_follows_a_light_as_well(case: Case, new: NewTrainer) -> None:
+    """Colours a little below black have no gradient; given the light that there was, a tenth of the error is left."""
+    kernel, sh = CpuKernel(2), case.scene.sh.copy()
+    sh[:, 0] = (-0.02 - 0.5) / SH_C0
+    pictures = [np.clip(kernel.forward(case.scene, view.pinhole).rgb, 0, 1) for view in case.ingest.views]
+    black, selected = replace(case.scene, sh=sh), np.ones(len(case.scene), bool)
+    dark = replace(case, scene=black, selected=selected, pictures=pictures)
+    lit = applied(black, dark.train(replace(SETTINGS, joint_iterations=0), new, relit=True))
+    assert error(dark, lit) < 0.1 * error(dark, black)
 
 
 @METHODS
@@ -266,28 +278,31 @@ def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
         np.testing.assert_array_equal(watching.rgb, kernel.forward(now, view.pinhole).rgb)
 
 
-def steps_of(case: Case, trainer: Trainer, pictures: list[np.ndarray]) -> int:
+def steps_of(case: Case, trainer: Trainer, pictures: list[np.ndarray], **other: Any) -> int:
     """The steps of stage 2."""
     steps: list[int] = []
     stopping = StoppingRule(on_loss=lambda stage, step, loss: steps.append(step))
     motion = np.zeros_like(case.scene.means)
     masks = case.masks(everywhere=True)
-    train(trainer, case.scene, case.selected, pictures, masks, motion, frame=1, stopping=stopping)
+    train(trainer, case.scene, case.selected, pictures, masks, motion, frame=1, stopping=stopping, **other)
     return len(steps)
 
 
 def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case: Case) -> None:
-    def steps(pictures: list[np.ndarray], usual_miss: float) -> int:
+    def steps(pictures: list[np.ndarray], usual_miss: float, **other: Any) -> int:
         trainer = case.trainer(
             replace(SETTINGS, adaptive_iterations=IterationSettings(usual_miss=usual_miss, min_factor=0.5))
         )
-        return steps_of(case, trainer, pictures)
+        return steps_of(case, trainer, pictures, **other)
 
     shown = [CpuKernel(2).forward(case.scene, view.pinhole).rgb for view in case.ingest.views]
     assert steps(shown, 0.5) == 15
     # Strides of a third of a step add up to 30 with rounding.
     assert steps(case.pictures, 1e-6) in (90, 91)
     assert steps([1 - picture for picture in shown], 0.0) == 30
+    brighter, darker = ([np.clip(gain * picture, 0, 1) for picture in shown] for gain in (2, 0.5))
+    assert steps(brighter, 1.0, relit=True) in (180, 181)
+    assert steps(darker, 1.0, relit=True) == 15
 
 
 def test_errors_are_measured_in_four_views_where_time_is_short() -> None:

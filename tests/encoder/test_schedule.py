@@ -16,6 +16,7 @@ from decogs.encoder.training.schedule import (
     StepSchedule,
     StoppingRule,
     TargetWatch,
+    brighter_iteration_factor,
     iteration_factor,
     search_of,
 )
@@ -89,6 +90,11 @@ def test_what_is_missed_more_than_usual_gets_as_much_longer(missed: float, facto
         assert found == pytest.approx(min(factor, max(1, 400 / usual)))
     assert iteration_factor(IterationSettings(), 100, views) == 1
     assert iteration_factor(IterationSettings(usual_miss=0.15), 100, [np.zeros((3, 0), np.float32)]) == 1
+
+
+@pytest.mark.parametrize(("usual", "steps"), [(30, 180), (120, 720), (250, 750), (1000, 1000)])
+def test_a_light_that_steps_do_not_follow_gets_more_of_them(usual: int, steps: int) -> None:
+    assert usual * brighter_iteration_factor(usual) == pytest.approx(steps)
 
 
 @pytest.mark.parametrize("fitting", [20, 50, 100])
