@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.corrections import Corrections
 from decogs.codec.packets.keyframes import keyframe_state
-from decogs.codec.scene.lattice import Lattice, quantise
+from decogs.codec.scene.lattice import Lattice, dequantise, quantise
 from decogs.codec.scene.state import State
+from decogs.formats.splats import FloatArray
 from decogs.formats.errors import RigError
 from decogs.rig.pictures.dropouts import BLACK, blankness
 from decogs.rig.pictures.ingest import Ingest, RigFrame, View
+from decogs.rig.stage.open_air import OpenAir, find_open_air, open_air_of
 from decogs.rig.stage.stage import PlainStage, Stage, find_stage
 
 from ..backends import TrainingKernel
@@ -23,7 +25,7 @@ from ..output.reports import OnKeyframeStep
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import StoppingRule
-from .first_points import FirstPoints, first_points
+from .first_points import FirstPoints, first_points, take_points
 from .harmonics import trim_sh_degree
 from .large_pictures import fit_to_pictures
 from .train import prealigned_pictures, train_keyframe
@@ -82,6 +84,9 @@ def train_first_frame(
             seed=seed,
             threads=threads,
         )
+        if stage is None:
+            stage = find_open_air(ingest.views, frame, points.xyz)
+            points = points if stage is None else take_points(points, stage.may_show(points.xyz))
         if header is None:
             ingest.place_near_planes(points.xyz)
         return points, stage
@@ -95,8 +100,9 @@ def train_first_frame(
             shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
             colours = find_colours(ingest.views, frame.training, *shared)
             frame = match_colours(frame, ingest.views, colours)
-            found = find_stage(ingest.views, frame)
-            stage = None if stage is None else found
+            if not isinstance(stage, OpenAir):
+                found = find_stage(ingest.views, frame)
+                stage = None if stage is None else found
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
@@ -123,7 +129,14 @@ def train_first_frame(
     if settings.detect_per_frame and header is None:
         values = trim_sh_degree(values)
     state, _ = keyframe_state(values, first_id=first_id)
+    if found is None or isinstance(found, OpenAir):
+        found = open_air_of(ingest.views, frame, dequantise(values, trained.lattice).means)
     return FirstFrame(state, trained.lattice, colours, frame, found)
+
+
+def stage_of_keyframe(views: Sequence[View], frame: RigFrame, means: FloatArray) -> Stage | None:
+    """The stage in the first ``frame`` of a keyframe that is there already, with Gaussians at ``means`` (N, 3)."""
+    return find_stage(views, frame) or open_air_of(views, frame, means)
 
 
 def _check_not_black(frame: RigFrame, views: Sequence[View]) -> None:

@@ -54,6 +54,10 @@ class Stage(Protocol):
     def hull(self) -> Hull:
         """Of what may stand there."""
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether backdrop and hull are all there is: nothing has to be guessed beside the pictures."""
+
     def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> Stage:
         """The same in a later frame, from the ``used`` ones of its pictures."""
 
@@ -84,6 +88,8 @@ class BackdropStage:
     xyz: FloatArray
     rgb: FloatArray
     spacing: float
+
+    is_closed = True
 
     def backdrop(self, sh_degree: int) -> Splats:
         """Gaussians for the backdrop, together opaque."""
