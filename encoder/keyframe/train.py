@@ -381,7 +381,8 @@ class _KeyframeTraining:
         gradients = self._kernel.backward(self._optimiser)
         self._view_gradients.add(gradients, camera)
         rates = self._rates(step / self._settings.iterations)
-        self._optimiser.step(gradients, rates, max_stretch=self._tuning.max_stretch)
+        reach = None if self._stage is None else self._stage.reach(self._optimiser.splats.means)
+        self._optimiser.step(gradients, rates, max_stretch=self._tuning.max_stretch, reach=reach)
         self._densify(step)
         return value
 

@@ -27,9 +27,9 @@ from .views import StageView, stage_view
 
 _DECISION_PIXELS = 62_000
 """Of a view in which the sky is sought; larger pictures are shrunk."""
-_CELL_DEGREES = 1.5
-"""Side of the cells of directions in which views are compared."""
-_MIN_CELLS = 40
+_CELL_DEGREES = 0.75
+"""Side of the cells of directions in which views are compared: a pixel or two of a small picture."""
+_MIN_CELLS = 160
 _MIN_CELL_VIEWS = 3
 """Cells that so many views must show as sky."""
 _MAX_DEVIATION_LEVELS = 1.5
@@ -44,11 +44,15 @@ _MIN_CONFIRMED_SHARE = 0.5
 """Of the cells of a region of sky that several views see, the share that they must show in the same colour."""
 _SAME_LEVELS = 8.0
 """Difference of colour up to which two views show the same in a cell."""
-_GROWN_LEVELS = 4.0
+_GROWN_LEVELS = 6.0
 """Difference from the dome up to which a pixel shows it, beside what is surely sky, in 8-bit steps or noise."""
+_GROWTHS = 3
+"""How often: each view shows colours of directions in which others were not sure."""
 _MARGIN_PIXELS = 1
 _DOME_DISTANCE = 50.0
 """Of the dome's Gaussians from the rig's middle, in rig sizes: parallax is a fiftieth of a turn at most."""
+_MAX_REACH = 10.0
+"""Of the factor by which far points may move further in a step: as far as the parallax of their depth shows."""
 _SPACING_DEGREES = 3.0
 _OPACITY, _SIGMA_SPACINGS = 0.8, 0.75
 """Of the dome's Gaussians: together they let nothing through."""
@@ -90,6 +94,11 @@ class OpenAir:
     def on_backdrop(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) on the dome or near it."""
         return np.asarray(np.linalg.norm(xyz - self.centre, axis=1) > 0.5 * _DOME_DISTANCE * self.size)
+
+    def reach(self, xyz: NDArray[np.floating]) -> FloatArray:
+        """Factors by which points (P, 3) may move further than those near the cameras."""
+        far = np.linalg.norm(xyz - self.centre, axis=1) / self.size
+        return np.clip(far, 1, _MAX_REACH).astype(np.float32)
 
     def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) at which no view shows the sky."""
@@ -172,13 +181,14 @@ class _Sky:
         masks = []
         for view, label, cell in zip(seen, labels, cells, strict=True):
             masks.append(_confirmed(view, label, cell, counts, colours))
-        counts, colours, _ = _by_cell(seen, masks, cells)
         shape = _grid()
-        dome = push_pull(colours.reshape(*shape, 3), (counts > 0).astype(np.float32).reshape(shape))
-        masks = [
-            _grown(view, mask, up, dome.reshape(-1, 3)[cell])
-            for view, mask, up, cell in zip(seen, masks, above, cells, strict=True)
-        ]
+        for _ in range(_GROWTHS):
+            counts, colours, _ = _by_cell(seen, masks, cells)
+            dome = push_pull(colours.reshape(*shape, 3), (counts > 0).astype(np.float32).reshape(shape))
+            masks = [
+                _grown(view, mask, up, dome.reshape(-1, 3)[cell])
+                for view, mask, up, cell in zip(seen, masks, above, cells, strict=True)
+            ]
         return _Sky(axes, masks, counts.reshape(shape), dome)
 
     def cells(self, ways: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -220,7 +230,7 @@ def _by_cell(
     for view, mask, cell in zip(seen, masks, cells, strict=True):
         at, rgb = cell[mask.ravel()], view.picture[mask]
         number = np.bincount(at, minlength=most)
-        shown = number >= 4
+        shown = number > 0
         mean = np.stack([np.bincount(at, rgb[:, c], most) for c in range(3)], axis=1)[shown] / number[shown, None]
         count[shown] += 1
         total[shown] += mean

@@ -37,7 +37,7 @@ def plain_pixels(picture: FloatArray) -> BoolArray:
     """Pixels (H, W) of large regions without texture; ``picture`` (H, W, 3) RGB 0..1."""
     opened = smooth_pixels(picture).view(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
-    large = stats[:, cv2.CC_STAT_AREA] >= _MIN_REGION_SHARE * plain.size
+    large = stats[:, cv2.CC_STAT_AREA] >= _MIN_REGION_SHARE * opened.size
     large[0] = False
     return np.asarray(large[labels])
 

@@ -73,6 +73,9 @@ class Stage(Protocol):
     def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) at which a view may show something in front of the backdrop."""
 
+    def reach(self, xyz: NDArray[np.floating]) -> FloatArray | None:
+        """Factors (P,) of the step sizes at which points (P, 3) move; None for one."""
+
 
 @dataclass(frozen=True)
 class BackdropStage:
@@ -107,6 +110,9 @@ class BackdropStage:
     def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) in front of the backdrop, in the hull."""
         return np.asarray(self.hull.holds(xyz) & (self.surfaces.clearance(xyz) > 0))
+
+    def reach(self, xyz: NDArray[np.floating]) -> None:
+        """The same steps everywhere."""
 
 
 @dataclass(frozen=True)

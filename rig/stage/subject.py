@@ -42,6 +42,9 @@ class SubjectAlone:
         """Points (P, 3) in the hull."""
         return self.hull.holds(xyz)
 
+    def reach(self, xyz: NDArray[np.floating]) -> None:
+        """The same steps everywhere."""
+
 
 def subject_alone(views: Sequence[View], alphas: Sequence[FloatArray]) -> SubjectAlone:
     """The hull of mattes (H, W), one for each of the ``views``."""
