@@ -10,11 +10,11 @@ from decogs.codec.packets.corrections import Corrections
 from decogs.codec.packets.keyframes import keyframe_state
 from decogs.codec.scene.lattice import Lattice, dequantise, quantise
 from decogs.codec.scene.state import State
-from decogs.formats.splats import FloatArray
 from decogs.formats.errors import RigError
+from decogs.formats.splats import FloatArray
 from decogs.rig.pictures.dropouts import BLACK, blankness
 from decogs.rig.pictures.ingest import Ingest, RigFrame, View
-from decogs.rig.stage.open_air import OpenAir, find_open_air, open_air_of
+from decogs.rig.stage.open_air import find_open_air, open_air_of
 from decogs.rig.stage.stage import PlainStage, Stage, find_stage
 
 from ..backends import TrainingKernel
@@ -84,12 +84,13 @@ def train_first_frame(
             seed=seed,
             threads=threads,
         )
-        if stage is None:
-            stage = find_open_air(ingest.views, frame, points.xyz)
-            points = points if stage is None else take_points(points, stage.may_show(points.xyz))
         if header is None:
             ingest.place_near_planes(points.xyz)
         return points, stage
+
+    def under_sky(points: FirstPoints, stage: Stage | None, frame: RigFrame) -> tuple[FirstPoints, Stage | None]:
+        air = find_open_air(ingest.views, frame, points.xyz) if stage is None else None
+        return (points, stage) if air is None else (take_points(points, air.may_show(points.xyz)), air)
 
     keyframe = settings.keyframe if header is None else replace(settings.keyframe, sh_degree=header.sh_degree)
     colours: Corrections = {} if header is None else header.camera_colours
@@ -100,15 +101,16 @@ def train_first_frame(
             shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
             colours = find_colours(ingest.views, frame.training, *shared)
             frame = match_colours(frame, ingest.views, colours)
-            if not isinstance(stage, OpenAir):
-                frame_stage = find_stage(ingest.views, frame)
-                stage = None if stage is None else frame_stage
+            frame_stage = find_stage(ingest.views, frame)
+            stage = None if stage is None else frame_stage
+        points, stage = under_sky(points, stage, frame)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
                 kernel, ingest.views, frame.training, points, keyframe, corrector, seed=seed
             )
-            points, stage = points_of(replace(frame, training=prealigned))
+            aligned = replace(frame, training=prealigned)
+            points, stage = under_sky(*points_of(aligned), aligned)
     with watch.stage("keyframe"):
         trained = train_keyframe(
             kernel,
@@ -129,7 +131,7 @@ def train_first_frame(
     if settings.detect_per_frame and header is None:
         values = trim_sh_degree(values)
     state, _ = keyframe_state(values, first_id=first_id)
-    if frame_stage is None or isinstance(frame_stage, OpenAir):
+    if frame_stage is None:
         frame_stage = open_air_of(ingest.views, frame, dequantise(values, trained.lattice).means)
     return FirstFrame(state, trained.lattice, colours, frame, frame_stage)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.subject.hull import BoolArray, Hull, SubjectView
-from decogs.formats.cameras import camera_centre, in_picture, project, ray_slopes, rig_extent, turned
+from decogs.formats.cameras import camera_centre, ray_slopes, rig_extent, turned
 from decogs.formats.geometry.up_direction import up_of
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
@@ -98,7 +98,7 @@ class OpenAir:
     def reach(self, xyz: NDArray[np.floating]) -> FloatArray:
         """Factors by which points (P, 3) may move further than those near the cameras."""
         far = np.linalg.norm(xyz - self.centre, axis=1) / self.size
-        return np.clip(far, 1, _MAX_REACH).astype(np.float32)
+        return np.asarray(np.clip(far, 1, _MAX_REACH), np.float32)
 
     def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) at which no view shows the sky."""
@@ -176,7 +176,7 @@ class _Sky:
         above = [(way @ axes[2] > 0).reshape(view.recorded.shape) for way, view in zip(ways, seen, strict=True)]
         surely = [_upper_regions(view, up) for view, up in zip(seen, above, strict=True)]
         cells = [_cells(way, axes) for way in ways]
-        labels = [cv2.connectedComponents(mask.view(np.uint8), connectivity=4)[1] for mask in surely]
+        labels = [_regions(mask, 4) for mask in surely]
         counts, colours, _ = _by_cell(seen, surely, cells)
         masks = []
         for view, label, cell in zip(seen, labels, cells, strict=True):
@@ -243,13 +243,18 @@ def _by_cell(
 def _upper_regions(view: StageView, above: BoolArray) -> BoolArray:
     """Smooth pixels above the horizon, connected with the first recorded ones of their columns."""
     smooth = smooth_pixels(view.picture) & above & view.recorded
-    labels = cv2.connectedComponents(smooth.view(np.uint8), connectivity=4)[1]
+    labels = _regions(smooth, 4)
     first = view.recorded.argmax(axis=0) + 2  # two rows in: smoothness is of windows
     rows = np.minimum(first, labels.shape[0] - 1)
     reached = np.zeros(labels.max() + 1, bool)
     reached[labels[rows, np.arange(labels.shape[1])]] = True
     reached[0] = False
     return np.asarray(reached[labels])
+
+
+def _regions(mask: BoolArray, connectivity: int) -> NDArray[np.int32]:
+    """Numbers (H, W) of the connected regions of a mask, from 1; 0 outside."""
+    return np.asarray(cv2.connectedComponents(mask.view(np.uint8), connectivity=connectivity)[1], np.int32)
 
 
 def _confirmed(
@@ -270,7 +275,7 @@ def _grown(view: StageView, mask: BoolArray, above: BoolArray, dome: FloatArray)
     """The sky (H, W) with the pixels beside it, above the horizon, that have the colour of the ``dome`` (H * W, 3)."""
     difference = 255 * np.abs(floats(cv2.blur(view.picture, (3, 3))) - dome.reshape(view.picture.shape)).max(2)
     like = ((difference <= _GROWN_LEVELS) & above & view.recorded) | mask
-    labels = cv2.connectedComponents(like.view(np.uint8), connectivity=8)[1]
+    labels = _regions(like, 8)
     reached = np.zeros(labels.max() + 1, bool)
     reached[labels[mask]] = True
     reached[0] = False
@@ -313,7 +318,9 @@ def _cells(ways: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.i
     x, y, z = (turned(axes, ways)).T
     row = np.arccos(np.clip(z, -1, 1)) / np.pi * height
     column = (np.arctan2(y, x) / (2 * np.pi) + 0.5) * width
-    return np.minimum(row.astype(np.int64), height - 1) * width + np.minimum(column.astype(np.int64), width - 1)
+    return np.asarray(
+        np.minimum(row.astype(np.int64), height - 1) * width + np.minimum(column.astype(np.int64), width - 1)
+    )
 
 
 def _spread_directions(axes: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -89,7 +89,11 @@ def overcast(ways: Array, frame: int) -> Array:
 
 
 SUN = unit(np.array([[0.5], [-0.45], [0.75]], np.float32))[:, 0]
-SKIES: dict[str, tuple[Sky, float, float]] = {"clear": (clear, 1.0, 0.3), "clouds": (clouds, 0.8, 0.35), "overcast": (overcast, 0.0, 0.75)}
+SKIES: dict[str, tuple[Sky, float, float]] = {
+    "clear": (clear, 1.0, 0.3),
+    "clouds": (clouds, 0.8, 0.35),
+    "overcast": (overcast, 0.0, 0.75),
+}
 """How each sky looks, and how much light comes from its sun and from all of it."""
 
 
@@ -110,7 +114,11 @@ def meadow(seed: int) -> list[Body]:
 def tree(place: NDArray[np.float64], height: float, leaves: Paint, random: np.random.Generator) -> list[Body]:
     up = np.array([0, 0, 1], np.float32)
     foot = np.array([*place, 0], np.float32)
-    made = [scenes.capsule(foot, foot + 0.6 * height * up, (0.03 * height,) * 3, BARK, np.array([1, 0, 0], np.float32), False)]
+    made = [
+        scenes.capsule(
+            foot, foot + 0.6 * height * up, (0.03 * height,) * 3, BARK, np.array([1, 0, 0], np.float32), False
+        )
+    ]
     for _ in range(9):
         out = random.normal(0, 0.17 * height, 3) * [1, 1, 0.8]
         radius = height * random.uniform(0.1, 0.2)
@@ -127,7 +135,9 @@ def house(place: NDArray[np.float64], turn: float, half: float, paint: Paint) ->
     centre = np.array([*place, height / 2], np.float32)
     wall = Block(centre, axes, np.array([half, 0.7 * half, height / 2], np.float32), 0, paint, False)
     side = 0.7 * half * r
-    ridge = Block(np.array([*place, height], np.float32), lean @ axes, np.array([half, side, side], np.float32), 0, TILES, False)
+    ridge = Block(
+        np.array([*place, height], np.float32), lean @ axes, np.array([half, side, side], np.float32), 0, TILES, False
+    )
     return [wall, ridge]
 
 
@@ -156,7 +166,9 @@ def cameras(size: tuple[int, int], arc: float) -> list[Camera]:
     return made
 
 
-def render(camera: Camera, bodies: Sequence[Body], sky: str, frame: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def render(
+    camera: Camera, bodies: Sequence[Body], sky: str, frame: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Linear RGB (H, W, 3), and depth (H, W), infinite in the sky, of the middle of each pixel's first sample."""
     look, sun, ambient = SKIES[sky]
     shape = (camera.height * GRID, camera.width * GRID)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,7 +55,7 @@ def test_the_sky_is_found_and_hardly_anything_else(meadow: Callable[[str], Meado
 
 
 def test_space_before_the_sky_is_free_and_what_stands_there_is_not(meadow: Callable[[str], Meadow]) -> None:
-    ingest, frame, depths, points = meadow("clear")
+    ingest, frame, _, points = meadow("clear")
     air = find_open_air(ingest.views, frame, points)
     assert air is not None
     # Points lie in the middle of pixels, and outlines pass through these: some in a thousand.
