@@ -21,17 +21,17 @@ class NotingKernel(CpuKernel):
         self.done: list[tuple[str, str]] = []
         self.rates: list[LearningRates] = []
 
-    def fixed_view(self, camera: Camera) -> CpuFixedView:
+    def fixed_view(self, camera: Camera, recorded: Any = None) -> CpuFixedView:
         self.viewed.append(camera.name)
-        return _View(self, camera)
+        return _View(self, camera, recorded)
 
     def optimiser(self, splats: Splats, **betas: float) -> CpuOptimiser:
         return _Optimiser(splats, self, **betas)
 
 
 class _View(CpuFixedView):
-    def __init__(self, kernel: NotingKernel, camera: Camera) -> None:
-        super().__init__(kernel, camera)
+    def __init__(self, kernel: NotingKernel, camera: Camera, recorded: Any) -> None:
+        super().__init__(kernel, camera, recorded)
         self._done = kernel.done
 
     def detach(self, *given: Any, **named: Any) -> Any:

@@ -24,7 +24,9 @@ def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> str:
     for text in ingest.matte_warnings:
         warn(text)
     places = [ingest.matte_origin(view.camera.name, first.index) for view in ingest.views]
-    agree = matte_checks.check_mattes(places, [view.pinhole for view in ingest.views], first.alpha, warn)
+    agree = matte_checks.check_mattes(
+        places, [view.pinhole for view in ingest.views], first.alpha, [view.recorded for view in ingest.views], warn
+    )
     worn = int(np.argmax(first.worn)) if first.worn else 0
     if first.worn and first.worn[worn] > _MAX_WORN:
         warn(
