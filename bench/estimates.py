@@ -32,17 +32,17 @@ class Estimate:
 
 def mean(values: Iterable[float | None]) -> float | None:
     """Mean of the values there are; None when there are none."""
-    known = [value for value in values if value is not None]
-    return math.fsum(known) / len(known) if known else None
+    present = [value for value in values if value is not None]
+    return math.fsum(present) / len(present) if present else None
 
 
 def estimate(values: Iterable[float | None]) -> Estimate | None:
     """Mean of the values there are, and its standard error: sample standard deviation over the root of their number."""
-    known = [value for value in values if value is not None]
-    if not known:
+    present = [value for value in values if value is not None]
+    if not present:
         return None
-    error = statistics.stdev(known) / math.sqrt(len(known)) if len(known) > 1 else None
-    return Estimate(math.fsum(known) / len(known), error)
+    error = statistics.stdev(present) / math.sqrt(len(present)) if len(present) > 1 else None
+    return Estimate(math.fsum(present) / len(present), error)
 
 
 def written(figure: Estimate | None, form: str, nothing: str = NOTHING) -> str:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from decogs.formats.cli.command_line import (
     Parser,
     counted,
-    frame_rate,
     in_option_names,
     number,
     number_of_bytes,
@@ -22,13 +21,12 @@ from decogs.formats.cli.command_line import (
     progress,
     retryable,
     run,
-    size_text,
     warn_as,
     whole_number,
 )
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.files.unicode_forms import composed
-from decogs.formats.frames.ranges import frame_range, frames_text
+from decogs.formats.frames.ranges import frame_range
 from decogs.rig.mattes.options import add_matte_options, matte_choice
 from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
 
@@ -37,7 +35,6 @@ if TYPE_CHECKING:
 
     from .job.job import EncodeJob
     from .output.observer import EncodeObserver
-    from .output.reports import EncodeReport
 
 
 def encode_main(arguments: Sequence[str] | None = None) -> int:
@@ -251,102 +248,6 @@ def _add_research(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--convergence-log", metavar="FILE", help="write the loss of every training step as JSON lines")
 
 
-def pack_main(arguments: Sequence[str] | None = None) -> int:
-    """``decogs-pack``: files of Gaussians, one a frame, to a .dgs stream."""
-    parser = pack_parser()
-    return run(parser, lambda: _pack(parser, parser.parse_args(arguments)), cleans_up=True, extra="encode")
-
-
-def pack_parser() -> Parser:
-    """The options of ``decogs-pack``."""
-    from decogs.decoder.limits import DEFAULT_MAX_MEMORY
-
-    parser = Parser(
-        prog="decogs-pack",
-        description="Code a sequence of .ply or .spz files of 3D Gaussians, one file per frame, as a stream.",
-    )
-    parser.add_argument(
-        "files", metavar="NAME_####.PLY", help="the files' names, with ####, %%04d or $F4 for the number"
-    )
-    parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
-    parser.add_argument("--fps", type=frame_rate, metavar="F", help="frames per second (default: not stated)")
-    exactness = parser.add_mutually_exclusive_group()
-    exactness.add_argument(
-        "--quality",
-        type=number,
-        default=50.0,
-        metavar="Q",
-        help="0 (smallest) to 100 (most exact), default 50; every 25 points lower double the lattice's steps",
-    )
-    exactness.add_argument(
-        "--lossless", action="store_true", help="code every change, exact to the lattice of --quality 100"
-    )
-    parser.add_argument("--segment", type=whole_number, default=0, metavar="N", help="insert a keyframe every N frames")
-    parser.add_argument(
-        "--max-memory",
-        type=number_of_bytes,
-        default=DEFAULT_MAX_MEMORY,
-        metavar="SIZE",
-        help="limit of memory for a frame's Gaussians, such as 512M or 6G (default 4G)",
-    )
-    parser.add_quiet()
-    return parser
-
-
-def _pack(parser: Parser, options: argparse.Namespace) -> int:
-    from .packing.packing import pack
-
-    output = path_or_pipe(options.output, "the stream")
-    with progress("packing", quiet=options.quiet) as on_frame:
-        report = pack(
-            options.files,
-            output,
-            fps=options.fps,
-            quality=options.quality,
-            lossless=options.lossless,
-            segment=options.segment,
-            max_memory=options.max_memory,
-            on_frame=on_frame,
-            on_warning=warn_as(parser),
-        )
-    frames, size = counted(len(report.frame_bytes), "frame"), size_text(report.total_bytes)
-    print_text(
-        f"{printable(options.output)}: {frames}, {size}; the files have {size_text(report.read_bytes)}",
-        to_stderr=options.output == "-",
-    )
-    return 0
-
-
-def join_main(arguments: Sequence[str] | None = None) -> int:
-    """``decogs-join``: parts that ``decogs-encode --only`` made to one .dgs stream."""
-    parser = join_parser()
-    return run(parser, lambda: _join(parser.parse_args(arguments)), cleans_up=True, extra="encode")
-
-
-def join_parser() -> Parser:
-    """The options of ``decogs-join``."""
-    parser = Parser(
-        prog="decogs-join",
-        description="Join the parts of a take to the stream that an encode in one go would have written.",
-    )
-    parser.add_argument("parts", nargs="+", metavar="PART.DGS", help="all parts of the take, in any order")
-    parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
-    parser.add_quiet()
-    return parser
-
-
-def _join(options: argparse.Namespace) -> int:
-    from .parts.joining import join
-
-    with progress("joining", quiet=options.quiet) as on_frame:
-        report = join(options.parts, path_or_pipe(options.output, "the stream"), on_frame=on_frame)
-    parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
-    print_text(
-        f"{printable(options.output)}: {parts}, {frames}, {report.total_bytes} bytes", to_stderr=options.output == "-"
-    )
-    return 0
-
-
 def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
     if options.cluster is not None:
         return _encode_on_cluster(parser, options)
@@ -415,14 +316,13 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
 
 def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
+    from .stream.summary import summary, warnings_of
 
     job, option_names = _job(options)
     with in_option_names(option_names), _observed(parser, options) as progress:
         report = encode(job, progress=progress, on_warning=warn_as(parser))
-    print_text("\n".join(_summary(report)), to_stderr=options.output == "-")
-    warnings = [_rejected(report), *_uncorrected(report), _full_frame_changes(report), _cut(report)]
-    warnings += [_missed_budget(report), _missed_time(report)]
-    for warning in filter(None, warnings):
+    print_text("\n".join(summary(report)), to_stderr=options.output == "-")
+    for warning in warnings_of(report):
         warn_as(parser)(warning)
     return 130 if report.interrupted else 0
 
@@ -492,102 +392,3 @@ def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[
 def _asked(bytes_per_frame: float, option: str, value: float) -> tuple[float, dict[str, str]]:
     option_names = {f"`bytes_per_frame` {bytes_per_frame:g}": f"{option} {value:g}", "`bytes_per_frame`": option}
     return bytes_per_frame, option_names
-
-
-def _summary(report: EncodeReport) -> list[str]:
-    frames = report.frames
-    if not frames:
-        return [f"{report.output}: all {report.resumed} frames were already encoded, {report.total_bytes} bytes"]
-    what = counted(len(frames), "frame") if report.part is None else f"part with {frames_text(report.part)}"
-    lines = [f"{report.output}: {what}, {report.total_bytes} bytes"]
-    if report.resumed is not None:
-        lines[0] += f"; {report.resumed or 'none'} of them were already encoded"
-    if report.interrupted:
-        lines[0] += f"; interrupted by Ctrl-C after frame {frames[-1].frame}: the stream is complete up to it"
-    lines += _held_out(report)
-    later = [frame for frame in frames[1:] if not frame.replayed]
-    if later:
-        seconds = [sum(s for name, s in f.seconds.items() if name != "measure") for f in later]
-        cpu_seconds, selected = [f.cpu_seconds for f in later], [f.selected for f in later]
-        lines.append(
-            f"after the first frame  {_mean([f.bytes for f in later]):.0f} bytes, {_mean(seconds):.2f} s, "
-            f"{_mean(cpu_seconds):.2f} CPU-s, {_mean(selected):.1%} selected (means)"
-        )
-    return lines
-
-
-def _held_out(report: EncodeReport) -> list[str]:
-    """The held-out cameras' PSNR; with a scale, that of the scaled pictures and that of what is decoded."""
-    lines = []
-    for place, (name, what) in enumerate((("held_out_psnr", "scaled"), ("held_out_own_size_psnr", "own size"))):
-        sizes = dict.fromkeys(each[place] for each in report.held_out_sizes.values())
-        values = [value for frame in report.frames if (value := getattr(frame, name)) is not None]
-        at = "" if report.frames[0].scale == 1 else f" at {', '.join(f'{w}x{h}' for w, h in sizes)} ({what})"
-        if values:
-            lines.append(
-                f"held-out PSNR  first {values[0]:.2f}  mean {_mean(values):.2f}  last {values[-1]:.2f} dB{at}"
-            )
-    return lines
-
-
-def _rejected(report: EncodeReport) -> str:
-    at = [frame.frame for frame in report.frames if frame.rejected]
-    return (
-        f"training diverged in {frames_text(at)}, so the previous scene was kept; lower the learning rates"
-        if at
-        else ""
-    )
-
-
-def _uncorrected(report: EncodeReport) -> list[str]:
-    return [
-        f"camera {fault} keep the first frame's compensation from frame {frame.frame + 1} on; a new one gained nothing"
-        for frame in report.frames
-        for fault in frame.uncorrected
-    ]
-
-
-def _full_frame_changes(report: EncodeReport) -> str:
-    at = [frame.frame for frame in report.frames if frame.full_frame_change]
-    return (
-        f"the masks missed a change of most of the pictures; every Gaussian was trained in {frames_text(at)}"
-        if at
-        else ""
-    )
-
-
-def _cut(report: EncodeReport) -> str:
-    at = [frame.frame for frame in report.frames if frame.cut]
-    return f"{frames_text(at)}: another scene than the one before, with a new keyframe" if at else ""
-
-
-def _missed_budget(report: EncodeReport) -> str:
-    """The warning of a stream that exceeds its byte budget; empty when it does not."""
-    from .coding.rate_control import BYTES_TOLERANCE, over_budget
-
-    sizes, budget = [frame.bytes for frame in report.frames[1:]], report.frame_budget
-    if budget is None or (over := over_budget(sizes, budget)) <= BYTES_TOLERANCE:
-        return ""
-    return (
-        f"frames after the first take {_mean(sizes):.0f} bytes (mean), {over:.0%} more than the budget of "
-        f"{budget:.0f}; raise the budget, or lower --quality, --scale or --preset"
-    )
-
-
-def _missed_time(report: EncodeReport) -> str:
-    """The warning of frames that exceed their time budget; empty when they do not."""
-    from .coding.time_control import TIME_TOLERANCE, counted_seconds, over_time
-
-    frames, budget = [frame.seconds for frame in report.frames[1:] if not frame.replayed], report.time_budget
-    if budget is None or (over := over_time(frames, budget)) <= TIME_TOLERANCE:
-        return ""
-    spent, trained = _mean([counted_seconds(f) for f in frames]), _mean([f.get("training", 0.0) for f in frames])
-    return (
-        f"frames after the first take {spent:.3g} s (mean), {over:.0%} more than the budget of {budget:.3g}; "
-        f"masks, selection and coding take a fixed {spent - trained:.3g} s of it; raise the budget, or lower --scale "
-        "or --preset"
-    )
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)

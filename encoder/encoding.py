@@ -71,8 +71,8 @@ def encode(
         curve = None
         if job.convergence_log is not None:
             curve = open_files.enter_context(ConvergenceLog(Path(job.convergence_log), append=job.resume))
-        known: dict[str, set[int]] = {}
-        chosen = _decide_settings(job, work, observer, warn, known)
+        warned_frames: dict[str, set[int]] = {}
+        chosen = _decide_settings(job, work, observer, warn, warned_frames)
         ingest = work.ingest
         if chosen.corrections.lens:
             lens = chosen.corrections.lens
@@ -108,7 +108,7 @@ def encode(
         else:
             report = encode_part(context, target, work.part, work.span, options, work.base, device=job.device)
         report = replace(report, held_out_sizes=ingest.held_out_sizes)
-        for text in left_out_warnings(report.frames, known):
+        for text in left_out_warnings(report.frames, warned_frames):
             warn(text)
         observer.finished(
             {
@@ -181,18 +181,18 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
 
 
 def _decide_settings(
-    job: EncodeJob, work: _Work, observer: EncodeObserver, warn: OnWarning, known: dict[str, set[int]]
+    job: EncodeJob, work: _Work, observer: EncodeObserver, warn: OnWarning, warned_frames: dict[str, set[int]]
 ) -> EncodeSettings:
     """The settings with the requested effects and corrections, for which the rig may have to be analysed.
 
-    ``known`` gets, by camera, the frames of which that has warned.
+    ``warned_frames`` gets, by camera, the frames of which that has warned.
     """
     if work.base is not None:
         asked = work.settings if job.corrections is None else replace(work.settings, corrections=job.corrections)
         return work.base.settings(asked, work.wanted)
     settings = work.settings
     if work.wanted is not None:
-        settings = _with_effects(settings, work.wanted, job, work, observer, warn, known)
+        settings = _with_effects(settings, work.wanted, job, work, observer, warn, warned_frames)
     return settings if job.corrections is None else replace(settings, corrections=job.corrections)
 
 
@@ -287,23 +287,23 @@ def _with_effects(
     work: _Work,
     observer: EncodeObserver,
     warn: OnWarning,
-    known: dict[str, set[int]],
+    warned_frames: dict[str, set[int]],
 ) -> EncodeSettings:
-    """The settings with the requested effects; the frames that a warning names go into ``known``, by camera."""
+    """The settings with the requested effects; the frames that a warning names go into ``warned_frames``, by camera."""
     require_sparse(settings, f"`effects` {wanted}", "has none of them")
 
     def decisions() -> Sequence[Decision]:
         span = slice(work.span.start, work.span.stop)
-        found = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
-        for warning in found.check.warnings():
+        analysis = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
+        for warning in analysis.check.warnings():
             warn(warning)
-        faults = [fault for camera in found.check.cameras for fault in camera.faults]
+        faults = [fault for camera in analysis.check.cameras for fault in camera.faults]
         for fault in faults:
-            known.setdefault(fault.camera, set()).update(fault.frames)
+            warned_frames.setdefault(fault.camera, set()).update(fault.frames)
         if refused := [fault for fault in faults if fault.word in REFUSED]:
             raise RigError(f"{work.rig.path}: {refused[0]}")
-        observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
-        return found.decisions
+        observer.looked({decision.effect: decision.cameras for decision in analysis.decisions if decision.detected})
+        return analysis.decisions
 
     cameras = [camera.name for camera in work.rig.cameras if camera.name not in job.holdout]
     return with_effects(settings, wanted, cameras, decisions)

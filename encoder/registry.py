@@ -102,8 +102,8 @@ class Registry(Generic[T]):
             loaded = offered.load()
         except (Exception, SystemExit) as error:  # whatever a stranger's module does when it is imported
             if offered.value.startswith("decogs.bench.") and isinstance(error, ModuleNotFoundError):
-                said = f"{name}: this {self._kind} comes with the bench, which is not installed: {install('bench')}"
-                raise UsageError(said) from error
+                message = f"{name}: this {self._kind} comes with the bench, which is not installed: {install('bench')}"
+                raise UsageError(message) from error
             raise self._fault(offered, f"cannot be imported: {error}") from error
         self._loaded[name] = self._guard(loaded, lambda problem: self._fault(offered, problem))
         return self._loaded[name]

@@ -28,8 +28,8 @@ def bilinear(picture: NDArray[P], u: NDArray[np.float64], v: NDArray[np.float64]
     if not rows:
         return np.zeros((0, picture.shape[2]), picture.dtype)
     columns, lines = at.reshape(2, rows, _LOOKUP_WIDTH)
-    found = cv2.remap(picture, columns, lines, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found.reshape(-1, picture.shape[2])[: len(u)], picture.dtype)
+    values = cv2.remap(picture, columns, lines, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(values.reshape(-1, picture.shape[2])[: len(u)], picture.dtype)
 
 
 def tukey(residuals: NDArray[F], reach: float) -> NDArray[F]:

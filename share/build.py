@@ -24,7 +24,9 @@ from decogs.decoder.editing.commands import edit_parser
 from decogs.decoder.editing.operations import OPERATIONS
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis.commands import analyze_parser
-from decogs.encoder.commands import encode_parser, join_parser, pack_parser
+from decogs.encoder.commands import encode_parser
+from decogs.encoder.packing.commands import pack_parser
+from decogs.encoder.parts.commands import join_parser
 from decogs.rig.calibration.commands import calibrate_parser
 from decogs.rig.synchronisation.commands import sync_parser
 

@@ -155,19 +155,19 @@ def measure_scenes(
         reading_cpu.append(cpu_seconds() - began_cpu)
         if not rendering:  # the first rendering loads the kernel
             render_view(header, splats, views[0].camera, scale=scale, threads=threads)
-        found: list[FrameQuality] = []
+        of_views: list[FrameQuality] = []
         for number, (view, (target, matte)) in enumerate(zip(views, targets, strict=True)):
             began, began_cpu = time.perf_counter(), cpu_seconds()
             image = render_view(header, splats, view.camera, scale=scale, threads=threads).image
             seconds, spent = time.perf_counter() - began, cpu_seconds() - began_cpu
             seen = to_8bit(image)
-            found.append(_quality(Shot(seen, target, before[number], view.regions, matte, distance)))
+            of_views.append(_quality(Shot(seen, target, before[number], view.regions, matte, distance)))
             before[number] = seen
             if number == 0:
                 rendering.append(seconds)
                 decoding.append(reading_cpu[-1] + spent)
                 columns.append(seen[:, column])
-        frames.append(_mean(found))
+        frames.append(_mean(of_views))
     return StreamQuality(
         frames,
         render_seconds=median(rendering),
@@ -185,10 +185,10 @@ def cpu_seconds() -> float:
 
 
 def _quality(shot: Shot) -> FrameQuality:
-    return FrameQuality(**{name: found.value(shot) for name, found in METRICS.items()})
+    return FrameQuality(**{name: measure.value(shot) for name, measure in METRICS.items()})
 
 
-def _mean(found: Sequence[FrameQuality]) -> FrameQuality:
+def _mean(of_views: Sequence[FrameQuality]) -> FrameQuality:
     """The means over cameras, of those that have a value."""
-    values = {name: [v for each in found if (v := getattr(each, name)) is not None] for name in METRICS}
-    return FrameQuality(**{name: fmean(known) if known else None for name, known in values.items()})
+    values = {name: [v for each in of_views if (v := getattr(each, name)) is not None] for name in METRICS}
+    return FrameQuality(**{name: fmean(present) if present else None for name, present in values.items()})

@@ -81,7 +81,7 @@ class BaselineTrainer:
         self._on_loss = frame.stopping.on_loss
         self._random = np.random.default_rng((self._seed, frame.index))
         shown = [view for view in range(len(self._views)) if view not in frame.lost]
-        self._order = (shown[place] for place in view_order(len(shown), self._random))
+        self._order = (shown[slot] for slot in view_order(len(shown), self._random))
         losses = [
             whole_picture_loss(picture, view.valid, DISSIMILARITY)
             for picture, view in zip(pictures, self._views, strict=True)
@@ -153,15 +153,15 @@ class BaselineTrainer:
         return np.asarray(small & (sigmoid(spawned.opacity_logits) >= self._config.prune_opacity))
 
     def _next_gradients(
-        self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients, place: tuple[str, int]
+        self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients, step: tuple[str, int]
     ) -> int:
-        """Puts the gradients of the next view's loss into ``out``; returns which view; ``place`` is stage and step."""
+        """Puts the gradients of the next view's loss into ``out``; returns which view; ``step`` is stage and step."""
         index = next(self._order)
         self._kernel.forward(scene, self._views[index].pinhole)
         value = losses[index].evaluate(self._kernel)
         require_finite(value, self._views[index].camera)
         if self._on_loss is not None:
-            self._on_loss(*place, value.total)
+            self._on_loss(*step, value.total)
         self._kernel.backward(scene, out=out)
         return index
 

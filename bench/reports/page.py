@@ -61,9 +61,9 @@ def _rig_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
 
 def _is_untouched(result: RigResults, question: Question) -> bool:
     """Whether all that is there of a question is the preset's row, which other questions have, too."""
-    there = [variant for variant in question.variants if result.runs_of(variant)]
-    missing = len(there) < len(question.variants) and not _failed(result, question)
-    return bool(result.runs) and missing and all(result.is_preset(variant) for variant in there)
+    measured = [variant for variant in question.variants if result.runs_of(variant)]
+    missing = len(measured) < len(question.variants) and not _failed(result, question)
+    return bool(result.runs) and missing and all(result.is_preset(variant) for variant in measured)
 
 
 def _about_rig(result: RigResults) -> str:
@@ -185,8 +185,11 @@ def _files(bench: RigBench, runs: Sequence[Run]) -> str:
     names: dict[str, list[str]] = {}
     for run in runs:
         names.setdefault(bench.file_of(run).stem.removesuffix(run.key), []).append(run.key)
-    keys = {name: f"{{{','.join(found)}}}" if len(found) > 1 else found[0] for name, found in names.items()}
-    return ", ".join(f"`{name}{found}`" for name, found in keys.items())
+    keys = {
+        name: f"{{{','.join(keys_of_name)}}}" if len(keys_of_name) > 1 else keys_of_name[0]
+        for name, keys_of_name in names.items()
+    }
+    return ", ".join(f"`{name}{keys_of_name}`" for name, keys_of_name in keys.items())
 
 
 def _figures(plan: Plan, result: RigResults, folder: Path) -> list[str]:
@@ -226,8 +229,8 @@ def _figures(plan: Plan, result: RigResults, folder: Path) -> list[str]:
 
 
 def _labelled(result: RigResults, variants: Sequence[Variant]) -> dict[str, Run]:
-    found = {variant.description: result.run_of(variant) for variant in variants}
-    return {label: run for label, run in found.items() if run is not None}
+    runs = {variant.description: result.run_of(variant) for variant in variants}
+    return {label: run for label, run in runs.items() if run is not None}
 
 
 def _how(plan: Plan, results: Sequence[RigResults]) -> list[str]:

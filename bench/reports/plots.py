@@ -43,8 +43,8 @@ def require_plots() -> None:
 def plot_quality(path: Path, runs: Mapping[str, Run]) -> None:
     """Held-out PSNR of every frame, over the whole picture and over the dynamic region; ``runs`` by label."""
     figure = _figure(10, 4)
-    for place, (name, title) in enumerate((("psnr", "whole picture"), ("psnr_dynamic", "dynamic region")), 1):
-        axes = _panel(figure, 1, 2, place, title, "held-out PSNR, dB")
+    for index, (name, title) in enumerate((("psnr", "whole picture"), ("psnr_dynamic", "dynamic region")), 1):
+        axes = _panel(figure, 1, 2, index, title, "held-out PSNR, dB")
         for (label, run), colour in zip(runs.items(), COLOURS, strict=False):
             values = [getattr(frame, name) for frame in run.frames]
             axes.plot(_frames(run), _numbers(values), color=colour, label=label)
@@ -69,8 +69,8 @@ def plot_rates(path: Path, points: Sequence[RatePoint]) -> None:
     """Held-out PSNR over the bytes of a frame after the first one, a line for each family."""
     figure = _figure(10, 4.4)
     families = dict.fromkeys(point.family for point in points)
-    for place, (name, title) in enumerate((("psnr", "whole picture"), ("psnr_dynamic", "dynamic region")), 1):
-        axes = figure.add_subplot(1, 2, place)
+    for index, (name, title) in enumerate((("psnr", "whole picture"), ("psnr_dynamic", "dynamic region")), 1):
+        axes = figure.add_subplot(1, 2, index)
         axes.set_title(title)
         axes.set_xlabel("kB per frame after the first one")
         axes.set_ylabel("held-out PSNR, dB")
@@ -98,8 +98,8 @@ def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str])
     """
     figure = _figure(15, 5.2)
     lowest, highest = shown_range(points)
-    for place, (cost, title) in enumerate(zip(COSTS, ("time to encode", "size", "speed of decoding"), strict=True), 1):
-        axes = figure.add_subplot(1, len(COSTS), place)
+    for index, (cost, title) in enumerate(zip(COSTS, ("time to encode", "size", "speed of decoding"), strict=True), 1):
+        axes = figure.add_subplot(1, len(COSTS), index)
         axes.set_title(title)
         axes.set_xlabel(cost.label + (" (dearer →)" if not cost.more_is_better else " (dearer →, axis reversed)"))
         axes.set_ylabel(f"held-out {QUALITY.label}")
@@ -140,14 +140,14 @@ def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str])
 def plot_scanlines(path: Path, strips: Mapping[str, NDArray[np.uint8]], column: int, first_frame: int) -> None:
     """One image column over time, (H, T, 3) by label: as it is, and how far each pixel strays from its own mean."""
     figure = _figure(1.2 + 2.9 * len(strips), 6.4)
-    for place, (label, strip) in enumerate(strips.items(), 1):
+    for index, (label, strip) in enumerate(strips.items(), 1):
         height, frames = strip.shape[:2]
         extent = (first_frame - 0.5, first_frame + frames - 0.5, float(height), 0.0)
         shown: dict[str, Any] = {"extent": extent, "aspect": "auto", "interpolation": "nearest"}
-        above = _picture(figure, len(strips), place, label, f"row of column {column}")
+        above = _picture(figure, len(strips), index, label, f"row of column {column}")
         above.imshow(strip, **shown)
         grey = strip.astype(np.float64).mean(axis=2)
-        below = _picture(figure, len(strips), place + len(strips), "", f"± {_DEVIATION} levels from its mean")
+        below = _picture(figure, len(strips), index + len(strips), "", f"± {_DEVIATION} levels from its mean")
         strayed = grey - grey.mean(axis=1, keepdims=True)
         below.imshow(strayed, cmap="gray", vmin=-_DEVIATION, vmax=_DEVIATION, **shown)
         below.set_xlabel("frame")
@@ -160,8 +160,8 @@ def _figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _panel(figure: Figure, rows: int, columns: int, place: int, title: str, what: str) -> Axes:
-    axes = figure.add_subplot(rows, columns, place)
+def _panel(figure: Figure, rows: int, columns: int, index: int, title: str, what: str) -> Axes:
+    axes = figure.add_subplot(rows, columns, index)
     axes.set_title(title)
     axes.set_xlabel("frame")
     axes.set_ylabel(what)
@@ -170,11 +170,11 @@ def _panel(figure: Figure, rows: int, columns: int, place: int, title: str, what
     return axes
 
 
-def _picture(figure: Figure, columns: int, place: int, title: str, what: str) -> Axes:
-    axes = figure.add_subplot(2, columns, place)
+def _picture(figure: Figure, columns: int, index: int, title: str, what: str) -> Axes:
+    axes = figure.add_subplot(2, columns, index)
     axes.set_title(title)
     _number_frames(axes)
-    if place % columns == 1:
+    if index % columns == 1:
         axes.set_ylabel(what)
     else:
         axes.set_yticks([])

@@ -147,10 +147,10 @@ def _run_missing(
                     )
                 except TrainingError as error:
                     earlier = result.failures.get(variant.name)
-                    said = f"seed {variant.seed}: {error}"
-                    result.failures[variant.name] = said if earlier is None else f"{earlier}; {said}"
+                    reason = f"seed {variant.seed}: {error}"
+                    result.failures[variant.name] = reason if earlier is None else f"{earlier}; {reason}"
                     if on_warning:
-                        on_warning(f"{result.bench.name} {variant.name}, {said}")
+                        on_warning(f"{result.bench.name} {variant.name}, {reason}")
                 else:
                     progress.finished(run)
 
@@ -235,7 +235,7 @@ def _rig_document(plan: Plan, result: RigResults) -> dict[str, Any]:
 
 
 def _rows_document(result: RigResults, question: Question) -> list[dict[str, Any]]:
-    compared = {found.variant.name: found.document() for found in differences.differences(result, question)}
+    compared = {each.variant.name: each.document() for each in differences.differences(result, question)}
     return [_row_document(result, variant, compared.get(variant.name)) for variant in question.variants]
 
 

@@ -50,7 +50,7 @@ def summarise_differences(questions: Sequence[Question], results: Sequence[RigRe
     shown = (MOVING, BYTES, CPU)
     rows = []
     for question in questions:
-        by_rig = [{found.variant.name: found for found in differences(result, question)} for result in results]
+        by_rig = [{each.variant.name: each for each in differences(result, question)} for result in results]
         for variant in question.variants:
             cells = [_cell(rig.get(variant.name), measure) for rig in by_rig for measure in shown]
             if any(variant.name in rig for rig in by_rig):
@@ -69,8 +69,8 @@ def summarise_differences(questions: Sequence[Question], results: Sequence[RigRe
     ]
 
 
-def _cell(found: Differences | None, measure: Measure) -> str:
-    difference = None if found is None else found.of(measure)
+def _cell(row: Differences | None, measure: Measure) -> str:
+    difference = None if row is None else row.of(measure)
     text = measure.write(difference)
     return f"**{text}**" if measure.is_clear(difference) else text
 

@@ -72,17 +72,17 @@ def _in_units(figure: Estimate | None, units: float) -> Estimate | None:
 
 def find_front(points: Sequence[Point], cost: Axis) -> list[Point]:
     """The points that no other one beats in both cost and quality, from the cheapest to the dearest; by their means."""
-    known = []
-    for place, point in enumerate(points):
+    priced = []
+    for index, point in enumerate(points):
         price, value = point.at(cost), point.at(QUALITY)
         if price is not None and value is not None:
-            known.append((-price if cost.more_is_better else price, -value, place))
-    best, found = -math.inf, []
-    for _, lost, place in sorted(known):
+            priced.append((-price if cost.more_is_better else price, -value, index))
+    best, front = -math.inf, []
+    for _, lost, index in sorted(priced):
         if -lost > best:
-            found.append(points[place])
+            front.append(points[index])
             best = -lost
-    return found
+    return front
 
 
 def shown_range(points: Sequence[Point]) -> tuple[float, float]:
@@ -90,10 +90,10 @@ def shown_range(points: Sequence[Point]) -> tuple[float, float]:
 
     What is far below would press the rest together. 0 to 1 when nothing has that quality.
     """
-    known = [(value, point) for point in points if (value := point.at(QUALITY)) is not None]
-    if not known:
+    measured = [(value, point) for point in points if (value := point.at(QUALITY)) is not None]
+    if not measured:
         return 0.0, 1.0
-    worst = min(value for value, point in known if point.family == known[0][1].family)
-    best = max(value for value, _ in known)
+    worst = min(value for value, point in measured if point.family == measured[0][1].family)
+    best = max(value for value, _ in measured)
     span = max(best - worst, 1e-6)
     return worst - 0.2 * span, best + 0.1 * span

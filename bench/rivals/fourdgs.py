@@ -93,13 +93,13 @@ def _sample(seconds: float, frame: SceneFrame) -> Any:
     )
 
 
-def _splats(found: dict[str, Any]) -> Splats:
+def _splats(scene: dict[str, Any]) -> Splats:
     arrays = (
-        found["centers"],
-        np.log(found["scales"]),
-        np.roll(found["rotations"], 1, axis=1),
-        logits(found["opacity"]),
-        ((found["rgb"] - 0.5) / SH_C0)[:, None],
+        scene["centers"],
+        np.log(scene["scales"]),
+        np.roll(scene["rotations"], 1, axis=1),
+        logits(scene["opacity"]),
+        ((scene["rgb"] - 0.5) / SH_C0)[:, None],
     )
     return Splats(*(np.ascontiguousarray(array, np.float32) for array in arrays))
 

@@ -72,9 +72,9 @@ def later(run: Run) -> list[RunFrame]:
 
 def drift(run: Run, name: str) -> Estimate | None:
     """Slope of a PSNR over the frames and its error, dB per 100 frames of the rig."""
-    known = [(frame.frame, getattr(frame, name)) for frame in run.frames if getattr(frame, name) is not None]
-    found = slope([frame for frame, _ in known], [value for _, value in known])
-    return None if found is None else Estimate(found.per_100_frames, found.error)
+    values = [(frame.frame, getattr(frame, name)) for frame in run.frames if getattr(frame, name) is not None]
+    line = slope([frame for frame, _ in values], [value for _, value in values])
+    return None if line is None else Estimate(line.per_100_frames, line.error)
 
 
 def in_common(run: Run, runs: Sequence[Run]) -> float | None:
@@ -98,8 +98,8 @@ def _column(name: str, metric: Metric) -> Column:
     """The mean of a metric over all frames."""
 
     def figure(run: Run, _: Sequence[Run]) -> float | None:
-        found = mean_of(run, name)
-        return None if found is None else metric.units * found
+        value = mean_of(run, name)
+        return None if value is None else metric.units * value
 
     meaning = f"{metric.meaning}; mean over all frames"
     return Column(metric.heading, meaning, figure, f".{metric.digits}f", metric.nothing)
@@ -206,15 +206,15 @@ COLUMNS: dict[str, Column] = {
 
 def figures(runs: Sequence[Run]) -> dict[str, float | None]:
     """The figures of a row's runs as numbers, for JSON: keys and units as in COLUMNS, an error beside its figure."""
-    found: dict[str, float | None] = {}
+    by_key: dict[str, float | None] = {}
     for key, column in COLUMNS.items():
         if key == "psnr_common":  # a table's figure, not a row's
             continue
         figure = column.over(runs, runs)
-        found[key] = None if figure is None else figure.mean
+        by_key[key] = None if figure is None else figure.mean
         if figure is not None and figure.error is not None:
-            found[f"{key}_error"] = figure.error
-    return found
+            by_key[f"{key}_error"] = figure.error
+    return by_key
 
 
 def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

@@ -59,8 +59,8 @@ class Measure:
 
     def paired(self, runs: Mapping[int, Run], others: Mapping[int, Run]) -> dict[int, float]:
         """The differences by seed, of the seeds that both have."""
-        found = {seed: self.difference(run, others[seed]) for seed, run in runs.items() if seed in others}
-        return {seed: value for seed, value in found.items() if value is not None}
+        by_seed = {seed: self.difference(run, others[seed]) for seed, run in runs.items() if seed in others}
+        return {seed: value for seed, value in by_seed.items() if value is not None}
 
 
 MOVING = Measure("psnr_dynamic", "dynamic")
@@ -91,18 +91,18 @@ class Differences:
         """What the row gains and what it costs, as far as that is larger than two standard errors."""
         words: dict[str, list[str]] = {"gains": [], "costs": []}
         for measure in MEASURES:
-            found = self.of(measure)
-            if found is not None and measure.is_clear(found):
-                is_gain = (found.mean > 0) == measure.more_is_better
+            difference = self.of(measure)
+            if difference is not None and measure.is_clear(difference):
+                is_gain = (difference.mean > 0) == measure.more_is_better
                 words["gains" if is_gain else "costs"].append(measure.word)
         return "; ".join(f"{what} {', '.join(those)}" for what, those in words.items() if those) or NOTHING
 
     def document(self) -> dict[str, Any]:
         """The same numbers for JSON, dB and per cent."""
-        found = {measure.key: self.of(measure) for measure in MEASURES}
+        means = {measure.key: self.of(measure) for measure in MEASURES}
         return {
             key: rounded({"mean": mean.mean, "error": mean.error, "seeds": dict(self.by_seed[key])})
-            for key, mean in found.items()
+            for key, mean in means.items()
             if mean is not None
         }
 
@@ -116,16 +116,16 @@ def differences(result: RigResults, question: Question) -> Iterator[Differences]
     for variant in question.variants:
         if result.bench.key(variant) != result.bench.key(reference):
             runs = result.runs_of(variant)
-            found = Differences(variant, {measure.key: measure.paired(runs, others) for measure in MEASURES})
-            if any(found.by_seed.values()):
-                yield found
+            row = Differences(variant, {measure.key: measure.paired(runs, others) for measure in MEASURES})
+            if any(row.by_seed.values()):
+                yield row
 
 
 def difference_table(result: RigResults, question: Question) -> list[str]:
     """The lines of a question's table of differences; none where nothing can be compared."""
     rows = [
-        [found.variant.description, *(measure.write(found.of(measure)) for measure in MEASURES), found.verdict()]
-        for found in differences(result, question)
+        [row.variant.description, *(measure.write(row.of(measure)) for measure in MEASURES), row.verdict()]
+        for row in differences(result, question)
     ]
     reference = result.reference(question)
     if reference is None or not rows:

@@ -134,8 +134,8 @@ class RigViewpoints:
 
     def find(self, camera: str) -> LeftOut | None:
         """The result that an earlier report left, or None."""
-        found = read_document(self.file_of(camera), LeftOut, LeftOutFrame)
-        return found if found and (self.options.any_code or found.code == code_version()) else None
+        result = read_document(self.file_of(camera), LeftOut, LeftOutFrame)
+        return result if result and (self.options.any_code or result.code == code_version()) else None
 
     def file_of(self, camera: str) -> Path:
         """Where a camera's JSON lies."""

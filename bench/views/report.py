@@ -98,7 +98,7 @@ def make_views_report(
     check_outputs(written, [file for rig in rigs for file in files_of(rig.rig)])
     folder.mkdir(parents=True, exist_ok=True)
     _run_missing(rigs, terminal)
-    results = {rig.name: [found for camera in rig.left_out if (found := rig.find(camera))] for rig in rigs}
+    results = {rig.name: [result for camera in rig.left_out if (result := rig.find(camera))] for rig in rigs}
     write_whole(folder / f"{NAME}.json", _document(results, command).encode())
     path = folder / f"{NAME}.md"
     write_whole(path, ("\n".join(_page(rigs, results, folder, command)) + "\n").encode())
@@ -120,22 +120,22 @@ def _page(rigs: Sequence[RigViewpoints], results: dict[str, list[LeftOut]], fold
     heads = ["cameras left out", "PSNR", "worst", *_HEADINGS]
     rows = []
     for rig in rigs:
-        found = [_of_camera(result) for result in results[rig.name]]
-        cells = _average(found).cells()
-        worst = min(figures.psnr for figures in found if figures.psnr is not None)
-        rows.append([rig.name, str(len(found)), cells[0], f"{worst:.2f}", *cells[1:]])
+        of_cameras = [_of_camera(result) for result in results[rig.name]]
+        cells = _average(of_cameras).cells()
+        worst = min(figures.psnr for figures in of_cameras if figures.psnr is not None)
+        rows.append([rig.name, str(len(of_cameras)), cells[0], f"{worst:.2f}", *cells[1:]])
     lines += [*markdown(["rig", *heads], rows), ""]
     for rig in rigs:
         lines += _rig_section(rig, results[rig.name], folder)
     return lines + _how(results)
 
 
-def _rig_section(rig: RigViewpoints, found: Sequence[LeftOut], folder: Path) -> list[str]:
-    ranked = sorted(found, key=lambda result: mean(frame.psnr for frame in result.frames) or 0.0)
+def _rig_section(rig: RigViewpoints, results: Sequence[LeftOut], folder: Path) -> list[str]:
+    ranked = sorted(results, key=lambda result: mean(frame.psnr for frame in result.frames) or 0.0)
     frames = f"frame {rig.frames[0]}" if len(rig.frames) == 1 else f"frames {rig.frames[0]} to {rig.frames[-1]}"
-    sizes = ", ".join(dict.fromkeys(measured_size(rig.rig, result.camera, result.scale) for result in found))
-    rows = [[result.camera, *_of_camera(result).cells(), f"`{rig.file_of(result.camera).stem}`"] for result in found]
-    rows.append(["mean", *_average([_of_camera(result) for result in found]).cells(), ""])
+    sizes = ", ".join(dict.fromkeys(measured_size(rig.rig, result.camera, result.scale) for result in results))
+    rows = [[result.camera, *_of_camera(result).cells(), f"`{rig.file_of(result.camera).stem}`"] for result in results]
+    rows.append(["mean", *_average([_of_camera(result) for result in results]).cells(), ""])
     lines = [
         f"## {rig.name}",
         "",
@@ -170,21 +170,21 @@ def _of_camera(result: LeftOut) -> _Figures:
     )
 
 
-def _average(found: Sequence[_Figures]) -> _Figures:
-    columns = [asdict(figures) for figures in found]
+def _average(all_figures: Sequence[_Figures]) -> _Figures:
+    columns = [asdict(figures) for figures in all_figures]
     return _Figures(**{name: mean(column[name] for column in columns) for name in columns[0]})
 
 
 def _document(results: dict[str, list[LeftOut]], command: str) -> str:
     """The report as data: each camera's figures by rig; runs/ has them frame by frame."""
-    rigs = {name: {each.camera: asdict(_of_camera(each)) for each in found} for name, found in results.items()}
+    rigs = {name: {each.camera: asdict(_of_camera(each)) for each in left_out} for name, left_out in results.items()}
     facts = {"report": NAME, "command": command, "code": code_version(), "machine": machine_facts(), "rigs": rigs}
     return json.dumps(facts, indent=1) + "\n"
 
 
 def _how(results: dict[str, list[LeftOut]]) -> list[str]:
-    found = [each for of_rig in results.values() for each in of_rig]
-    codes, seeds = ({getattr(each, name) for each in found} for name in ("code", "seed"))
+    left_out = [each for of_rig in results.values() for each in of_rig]
+    codes, seeds = ({getattr(each, name) for each in left_out} for name in ("code", "seed"))
     return [
         "## How these figures were obtained",
         "",

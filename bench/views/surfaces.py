@@ -49,7 +49,7 @@ class Surfaces:
 
     def __init__(self, header: StreamHeader, scene: Splats, threads: int) -> None:
         self._header, self._scene, self._threads = header, scene, threads
-        self._known: dict[str, NDArray[np.float64]] = {}
+        self._depths: dict[str, NDArray[np.float64]] = {}
 
     def depth(self, camera: Camera) -> NDArray[np.float64]:
         """(H, W) depth of the surface in every pixel of a pinhole camera, world units; NaN where there is none."""
@@ -63,9 +63,9 @@ class Surfaces:
         points = _points(pinhole, self.depth(pinhole))
         count = np.zeros((pinhole.height, pinhole.width), np.int64)
         for other in map(as_pinhole, others):
-            if other.name not in self._known:
-                self._known[other.name] = self.depth(other)
-            count += _shows(other, self._known[other.name], points).reshape(count.shape)
+            if other.name not in self._depths:
+                self._depths[other.name] = self.depth(other)
+            count += _shows(other, self._depths[other.name], points).reshape(count.shape)
         smooth = cv2.medianBlur(plan.apply(count.astype(np.float32), nearest=True), SPECK)
         return np.asarray(smooth, np.int64)
 
@@ -110,6 +110,6 @@ def _shows(camera: Camera, depth: NDArray[np.float64], points: NDArray[np.float6
     """Whether each point is what the camera sees at its pixel."""
     column, row, distance = project(camera, points)
     inside = in_picture(camera, column, row, distance) & ~np.isnan(distance)
-    found = np.full(len(points), np.nan)
-    found[inside] = depth[row[inside].astype(int), column[inside].astype(int)]
-    return np.asarray(np.abs(found - distance) <= AGREES * distance)
+    depths = np.full(len(points), np.nan)
+    depths[inside] = depth[row[inside].astype(int), column[inside].astype(int)]
+    return np.asarray(np.abs(depths - distance) <= AGREES * distance)

@@ -180,16 +180,16 @@ def unknown_members(payload: bytes) -> list[str]:
     return list(_beyond(_parse(payload), _parse(StreamHeader.from_bytes(payload).to_bytes()), ""))
 
 
-def _beyond(told: Any, known: Any, path: str) -> Iterator[str]:
+def _beyond(document: Any, understood: Any, path: str) -> Iterator[str]:
     """Members of one document that another lacks, but for those that say nothing."""
-    if isinstance(told, list) and isinstance(known, list) and len(told) == len(known):
-        for index, (value, other) in enumerate(zip(told, known, strict=True)):
+    if isinstance(document, list) and isinstance(understood, list) and len(document) == len(understood):
+        for index, (value, other) in enumerate(zip(document, understood, strict=True)):
             yield from _beyond(value, other, f"{path}[{index}]")
-    elif isinstance(told, dict) and isinstance(known, dict):
-        for name, value in told.items():
+    elif isinstance(document, dict) and isinstance(understood, dict):
+        for name, value in document.items():
             path_of_value = f"{path}.{name}" if path else name
-            if name in known:
-                yield from _beyond(value, known[name], path_of_value)
+            if name in understood:
+                yield from _beyond(value, understood[name], path_of_value)
             elif value:
                 yield path_of_value
 
@@ -412,12 +412,12 @@ def _check_corrected(header: StreamHeader) -> None:
 
 def _camera_colours(fields: _Fields) -> dict[str, Correction]:
     """Of the cameras that have them: exposure, red and blue."""
-    found = {}
+    colours = {}
     for number, document in enumerate(fields.list("cameras", 1, MAX_CAMERAS)):
         camera = _Fields(document, f"cameras[{number}].")
         if camera.has("colours"):
-            found[camera.name("name")] = Correction(*camera.integers("colours", 3, LARGEST))
-    return found
+            colours[camera.name("name")] = Correction(*camera.integers("colours", 3, LARGEST))
+    return colours
 
 
 def _check_colours(header: StreamHeader) -> None:

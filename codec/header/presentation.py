@@ -51,10 +51,10 @@ class Presentation:
 
     def as_document(self) -> dict[str, Any]:
         """The header's member; empty where there is nothing to say."""
-        told = {name: value for name, value in vars(self).items() if value not in ("", None)}
+        document = {name: value for name, value in vars(self).items() if value not in ("", None)}
         if self.transform is not None:
-            told["transform"] = [list(map(float, row)) for row in self.transform]
-        return told
+            document["transform"] = [list(map(float, row)) for row in self.transform]
+        return document
 
 
 def read_presentation(document: object, cameras: Collection[str]) -> Presentation:

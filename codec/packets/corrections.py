@@ -138,9 +138,9 @@ def read_corrections(cursor: Cursor, corrected: CorrectedCameras) -> Corrections
     """The block that a frame's payload begins with; raises StreamError "bad-payload" when the payload is shorter."""
     size = corrected.block_bytes
     numbers = iter(struct.unpack(f"<{size // 2}h", cursor.take(size)))
-    found: dict[str, Correction] = {}
+    corrections: dict[str, Correction] = {}
     for effect, fields in EFFECT_FIELDS.items():
         for name in getattr(corrected, effect):
             coded = {field: next(numbers) for field in fields}
-            found[name] = replace(found.get(name, Correction()), **coded)
-    return found
+            corrections[name] = replace(corrections.get(name, Correction()), **coded)
+    return corrections

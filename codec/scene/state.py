@@ -167,12 +167,12 @@ def same_values(first: State, second: State) -> bool:
 
 def changed_between(first: State, second: State) -> NDArray[np.bool_]:
     """Which of the ``first`` state's Gaussians are gone in the ``second`` or have other values there, (N,)."""
-    _, here, there = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
+    _, first_rows, second_rows = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
     changed = np.ones(len(first), bool)
-    changed[here] = False
+    changed[first_rows] = False
     for name in ARRAYS:
-        differs = getattr(first, name)[here] != getattr(second, name)[there]
-        changed[here] |= differs.reshape(len(here), math.prod(differs.shape[1:])).any(axis=1)
+        differs = getattr(first, name)[first_rows] != getattr(second, name)[second_rows]
+        changed[first_rows] |= differs.reshape(len(first_rows), math.prod(differs.shape[1:])).any(axis=1)
     return changed
 
 

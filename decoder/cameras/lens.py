@@ -110,8 +110,8 @@ class BrownConradyLens:
             determinant = uu * vv - off * off
             u = u - (vv * error_u - off * error_v) / determinant
             v = v - (uu * error_v - off * error_u) / determinant
-        found = (missed_by < _SAME) & (s < self.reach**2)
-        return np.where(found, u, np.nan), np.where(found, v, np.nan)
+        converged = (missed_by < _SAME) & (s < self.reach**2)
+        return np.where(converged, u, np.nan), np.where(converged, v, np.nan)
 
 
 class FisheyeLens:

@@ -84,13 +84,13 @@ def _cameras(layer: Any) -> list[Any]:
     """The paths of the cameras that a stage of this layer would have, in its order."""
     from pxr import Sdf
 
-    found, prims = [], list(reversed(layer.rootPrims))
+    paths, prims = [], list(reversed(layer.rootPrims))
     while prims:
         prim = prims.pop()
         if prim.specifier == Sdf.SpecifierDef and prim.active:
-            found += [prim.path] if prim.typeName == "Camera" else []
+            paths += [prim.path] if prim.typeName == "Camera" else []
             prims += reversed(prim.nameChildren)
-    return found
+    return paths
 
 
 def _chosen(path: Path, name: str | None, cameras: list[Any]) -> Any:
@@ -238,11 +238,11 @@ def _placed(
     cache = UsdGeom.XformCache()
 
     def transforms(prim: Any) -> NDArray[np.float64]:
-        found = np.empty((len(times), 4, 4))
+        matrices = np.empty((len(times), 4, 4))
         for row, code in enumerate(times):
             cache.SetTime(code)
-            found[row] = cache.GetLocalToWorldTransform(prim)
-        return np.asarray(found.transpose(0, 2, 1))
+            matrices[row] = cache.GetLocalToWorldTransform(prim)
+        return np.asarray(matrices.transpose(0, 2, 1))
 
     to_stage = transforms(camera.GetPrim())
     if any(layer.GetPrimAtPath(f"/World/{group}") for group in ("Static", "Dynamic")):

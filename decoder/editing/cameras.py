@@ -12,10 +12,10 @@ from decogs.formats.errors import UsageError
 
 def check_names(operation: str, header: StreamHeader, names: Iterable[str]) -> None:
     """Raises UsageError for a name that no camera has."""
-    known = [camera.name for camera in header.cameras]
+    names_of_cameras = [camera.name for camera in header.cameras]
     for name in names:
-        if name not in known:
-            listed = ", ".join(known[:40]) + (", ..." if len(known) > 40 else "")
+        if name not in names_of_cameras:
+            listed = ", ".join(names_of_cameras[:40]) + (", ..." if len(names_of_cameras) > 40 else "")
             raise UsageError(f"{operation}: there is no camera {name!r} in this stream; it has {listed}")
 
 
@@ -31,7 +31,7 @@ def with_cameras(header: StreamHeader, name_of: Callable[[str], str | None]) -> 
         **{effect.name: _renamed(getattr(header.corrected, effect.name), named) for effect in fields(CorrectedCameras)}
     )
     colours = {named[name]: colour for name, colour in header.camera_colours.items() if name in named}
-    told = header.presentation
+    presentation = header.presentation
     return replace(
         header,
         cameras=tuple(replace(camera, name=named[camera.name]) for camera in header.cameras if camera.name in named),
@@ -39,15 +39,15 @@ def with_cameras(header: StreamHeader, name_of: Callable[[str], str | None]) -> 
         corrected=corrected,
         camera_colours=colours,
         effects=with_effects_of(header.effects, corrected, bool(colours)),
-        presentation=replace(told, first_view=named.get(told.first_view or "")),
+        presentation=replace(presentation, first_view=named.get(presentation.first_view or "")),
     )
 
 
 def with_effects_of(effects: Iterable[str], corrected: CorrectedCameras, coloured: bool) -> tuple[str, ...]:
     """The effects with those of cameras exactly where cameras have them (SPEC.md, "Header packet")."""
-    there = {"colour_mismatch": coloured} | {effect: bool(getattr(corrected, effect)) for effect in EFFECT_FIELDS}
-    named = dict.fromkeys([*effects, *there])
-    return tuple(effect for effect in named if there.get(effect, True))
+    has_effect = {"colour_mismatch": coloured} | {effect: bool(getattr(corrected, effect)) for effect in EFFECT_FIELDS}
+    named = dict.fromkeys([*effects, *has_effect])
+    return tuple(effect for effect in named if has_effect.get(effect, True))
 
 
 def renamed_corrections(corrections: Corrections, name_of: Callable[[str], str | None]) -> Corrections:

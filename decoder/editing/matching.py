@@ -150,7 +150,7 @@ def _of_degree(take: Take, degree: int) -> Take:
 
 def _common(one: StreamHeader, other: StreamHeader) -> StreamHeader:
     """The first header with the cameras of both, which by now have the same name only if they are the same."""
-    known = {camera.name for camera in one.cameras}
+    shared = {camera.name for camera in one.cameras}
     corrected = CorrectedCameras(
         **{
             effect.name: tuple(
@@ -163,7 +163,7 @@ def _common(one: StreamHeader, other: StreamHeader) -> StreamHeader:
     return replace(
         one,
         fps=one.fps or other.fps,
-        cameras=(*one.cameras, *(camera for camera in other.cameras if camera.name not in known)),
+        cameras=(*one.cameras, *(camera for camera in other.cameras if camera.name not in shared)),
         held_out=tuple(dict.fromkeys((*one.held_out, *other.held_out))),
         corrected=corrected,
         camera_colours=colours,
@@ -193,8 +193,8 @@ def _with_own_names(one: StreamHeader, other: StreamHeader) -> StreamHeader:
 
 def _is_same(camera: Camera, header: StreamHeader, other: Camera, others: StreamHeader) -> bool:
     """Whether both headers say the same of a camera."""
-    told, also_told = (
+    facts, other_facts = (
         (camera.name in says.held_out, says.camera_colours.get(camera.name)) for says in (header, others)
     )
     poses = np.array_equal(camera.world_to_camera, other.world_to_camera)
-    return poses and told == also_told and replace(camera, world_to_camera=other.world_to_camera) == other
+    return poses and facts == other_facts and replace(camera, world_to_camera=other.world_to_camera) == other

@@ -19,11 +19,11 @@ _MAX_GAP = 1 << 35
 """Between two ids that a keyframe can list (SPEC.md, "Varint")."""
 
 
-class Names:
+class IdMap:
     """Ids in the output by ids in the edited take, for the Gaussians of the last frame and of the first keyframe."""
 
     def __init__(self) -> None:
-        self._known = self._first = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+        self._last = self._first = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._all_own = True
         self.next_id = 0
 
@@ -34,10 +34,10 @@ class Names:
         ``is_changed``: no packet that was read leads to this scene. A first keyframe is then put in Morton order, which
         is smaller and which it may have lost; no packet behind it could stay anyway.
         """
-        if not is_key and state.ids is self._known[0]:
-            return self._known[1]  # nobody came or went
-        known = _joined(self._known, self._first) if is_key else self._known
-        ids = _looked_up(known, state.ids)
+        if not is_key and state.ids is self._last[0]:
+            return self._last[1]  # nobody came or went
+        ids_before = _joined(self._last, self._first) if is_key else self._last
+        ids = _looked_up(ids_before, state.ids)
         new = np.flatnonzero(ids < 0)
         own = state.ids[new]
         kept = np.where(ids < 0, state.ids, ids)
@@ -59,9 +59,9 @@ class Names:
             ids = self.next_id + np.arange(len(ids))
             self.next_id += len(ids)
         self._all_own = self._all_own and np.array_equal(ids, state.ids)
-        self._known = (state.ids, ids)
+        self._last = (state.ids, ids)
         if begins:
-            self._first = self._known
+            self._first = self._last
         return ids
 
 
@@ -70,9 +70,9 @@ def _can_be_listed(ids: Rows) -> bool:
     return bool(np.diff(ids).max(initial=0) <= _MAX_GAP)
 
 
-def _looked_up(known: tuple[Rows, Rows], ids: Rows) -> Rows:
+def _looked_up(ids_before: tuple[Rows, Rows], ids: Rows) -> Rows:
     """The output's ids, -1 where there is none."""
-    inner, outer = known
+    inner, outer = ids_before
     if not len(inner):
         return np.full(len(ids), -1, np.int64)
     indices = np.searchsorted(inner, ids).clip(max=len(inner) - 1)

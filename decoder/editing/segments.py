@@ -26,14 +26,14 @@ def with_choices(take: Take, choose: Choices) -> Callable[[int, int], Iterator[t
 
     @lru_cache(maxsize=2)
     def chosen(start: int, stop: int) -> tuple[Rows, ...]:
-        found: list[Rows] = []
+        ids: list[Rows] = []
         before: State | None = None
         for frame in take.read(start, stop):
             if before is None or not same_scene(before, frame.state):
                 here = [frame.state.ids[rows] for rows in choose(frame.state)]
-                found = [np.union1d(*both) for both in zip(found, here, strict=True)] if found else here
+                ids = [np.union1d(*both) for both in zip(ids, here, strict=True)] if ids else here
             before = frame.state
-        return tuple(found)
+        return tuple(ids)
 
     def read(start: int, stop: int) -> Iterator[tuple[Frame, tuple[Rows, ...]]]:
         while start < stop:

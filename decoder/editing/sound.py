@@ -16,8 +16,8 @@ from decogs.formats.splats import FloatArray
 
 from ..sound.coding import coded
 from ..sound.packets import FrameSound
-from ..sound.samples import frames_before, heard
-from .take import Hear, Take
+from ..sound.samples import decode_tracks, frames_before
+from .take import SoundReader, Take
 
 _LOBES = 16
 """Zero crossings of the sinc on either side: 80 dB with its window."""
@@ -26,7 +26,7 @@ _FASTEST = 16.0
 _AT_ONCE = 1024
 
 
-def from_frame(take: Take, start: int) -> Hear:
+def from_frame(take: Take, start: int) -> SoundReader:
     """The sound from frame ``start`` on, counted from there; the first one brings what its decoder needs before it."""
     fps = take.header.fps
     if not start or fps is None:
@@ -57,14 +57,14 @@ def _beginning(take: Take, start: int, fps: float) -> FrameSound:
             coming = zip(samples_at, packet.blocks, strict=True)
             run += [(at, block) for at, block in coming if start_sample - PRE_ROLL - BLOCK < at < stop]
             ends[packet.track] = samples_at[-1] + BLOCK
-    found = []
+    kept = []
     for track, run in runs.items():
         if run and run[-1][0] + BLOCK > start_sample:
-            found.append(SoundPacket(track, run[0][0] - start_sample, tuple(block for _, block in run)))
-    return tuple(found)
+            kept.append(SoundPacket(track, run[0][0] - start_sample, tuple(block for _, block in run)))
+    return tuple(kept)
 
 
-def renumbered(hear: Hear, first: int) -> Hear:
+def renumbered(hear: SoundReader, first: int) -> SoundReader:
     """The same sound, its tracks counted from ``first``."""
 
     def again(start: int, stop: int) -> Iterator[FrameSound]:
@@ -75,14 +75,14 @@ def renumbered(hear: Hear, first: int) -> Hear:
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedSpan:
     """What a frame plays: of the take, from one place to another, in frames; the same place twice is silence."""
 
     begin: float
     end: float
 
 
-def played(take: Take, plays: Sequence[Played], fps: float) -> Hear:
+def played(take: Take, plays: Sequence[PlayedSpan], fps: float) -> SoundReader:
     """The take's sound as new frames of this rate play it: coded anew, higher or lower with its speed."""
     voices = [
         coded(_voice(take, number, plays, fps), track.channels, fps, track=number)
@@ -91,7 +91,7 @@ def played(take: Take, plays: Sequence[Played], fps: float) -> Hear:
     return remembered(tuple(chain.from_iterable(own)) for own in zip(*voices, strict=True))
 
 
-def with_file(take: Take, path: Path, channels: int, begin: float, fps: float) -> Hear:
+def with_file(take: Take, path: Path, channels: int, begin: float, fps: float) -> SoundReader:
     """The take's sound and, as one more track, that of a file from ``begin`` seconds on."""
     from decogs.formats.sound.tracks import read_samples
 
@@ -108,7 +108,7 @@ def with_file(take: Take, path: Path, channels: int, begin: float, fps: float) -
     return hear
 
 
-def remembered(coming: Iterator[FrameSound]) -> Hear:
+def remembered(coming: Iterator[FrameSound]) -> SoundReader:
     """Sound that can be made in order only, from frame 0 on; coded, it takes 60 MB an hour."""
     made: list[FrameSound] = []
 
@@ -121,7 +121,7 @@ def remembered(coming: Iterator[FrameSound]) -> Hear:
     return hear
 
 
-def _voice(take: Take, number: int, plays: Sequence[Played], fps: float) -> Iterator[FloatArray]:
+def _voice(take: Take, number: int, plays: Sequence[PlayedSpan], fps: float) -> Iterator[FloatArray]:
     old = take.header.fps
     assert old is not None
     read = _tape(take, number, take.header.sound[number], old)
@@ -146,7 +146,7 @@ def _tape(take: Take, number: int, track: SoundTrack, fps: float) -> Tape:
             tuple(replace(packet, track=0) for packet in packets if packet.track == number)
             for packets in take.hear(first, end)
         )
-        pieces = [piece for (piece,) in heard(own, [track], fps, first)]
+        pieces = [piece for (piece,) in decode_tracks(own, [track], fps, first)]
         return np.concatenate(pieces[begin - first :], axis=1)
 
     def read(start: int, stop: int) -> FloatArray:

@@ -58,7 +58,7 @@ class Frame:
 Read = Callable[[int, int], Iterator[Frame]]
 """The frames from one number up to, not including, another."""
 
-Hear = Callable[[int, int], Iterator[FrameSound]]
+SoundReader = Callable[[int, int], Iterator[FrameSound]]
 """The sound of frames from one number up to, not including, another; right after `frames_before` others."""
 
 Note = Callable[[], str]
@@ -82,7 +82,7 @@ class Take:
     header: StreamHeader
     frame_count: int
     read: Read
-    hear: Hear = silence
+    hear: SoundReader = silence
     starts: tuple[int, ...] = (0,)
     sources: tuple[Path, ...] = ()
     notes: tuple[Note, ...] = ()
@@ -93,10 +93,12 @@ class Take:
 
     def with_poster(self, poster_of: Callable[[int], int | None]) -> Take:
         """The take with its poster where that frame is now; None where it is no more."""
-        told = self.header.presentation
-        if told.poster is None:
+        presentation = self.header.presentation
+        if presentation.poster is None:
             return self
-        return replace(self, header=replace(self.header, presentation=replace(told, poster=poster_of(told.poster))))
+        return replace(
+            self, header=replace(self.header, presentation=replace(presentation, poster=poster_of(presentation.poster)))
+        )
 
     def each_scene(self, edit: Callable[[State], State]) -> Take:
         """The take with the scene of every frame edited by itself; one that did not change is edited once."""

@@ -15,7 +15,7 @@ from decogs.codec.packets.syntax import refers_to_first, renamed, write_delta, w
 from decogs.codec.scene.state import Rows, State, all_rows, same_scene, same_values, take_rows
 from decogs.formats.stream.container import PacketKind
 
-from .names import Names
+from .names import IdMap
 from .take import Frame
 
 
@@ -35,11 +35,11 @@ class FrameWriter:
 
     def __init__(self, header: StreamHeader, sink: PacketSink) -> None:
         self._header, self._sink = header, sink
-        self._names = Names()
+        self._names = IdMap()
         self._state: State | None = None
         self._first: State | None = None
-        self._shows: State | None = None  # a source's state whose rows are those of _state, one by one
-        self._first_shows: State | None = None
+        self._source_state: State | None = None  # a source's state whose rows are those of _state, one by one
+        self._first_source_state: State | None = None
         self.frames = self.kept = 0
         self.is_empty = True
 
@@ -53,7 +53,7 @@ class FrameWriter:
             is_changed=frame.coded is not None and not same_scene(frame.coded.after, frame.state),
         )
         in_order = bool((ids[1:] > ids[:-1]).all())
-        after = _named(frame.state, ids, self._names.next_id, in_order, self.frames)
+        after = _with_ids(frame.state, ids, self._names.next_id, in_order, self.frames)
         body = self._as_it_was(frame, after, is_key) if in_order else None
         self.kept += body is not None
         if body is not None and frame.coded is not None:
@@ -62,9 +62,9 @@ class FrameWriter:
             kind, body, after = self._coded_anew(after, is_key)
         block = write_corrections(frame.corrections, self._header.corrected)
         self._sink.write(kind, self.frames, block + body)
-        self._state, self._shows = after, frame.state if in_order else None
+        self._state, self._source_state = after, frame.state if in_order else None
         if self._first is None:
-            self._first, self._first_shows = self._state, self._shows
+            self._first, self._first_source_state = self._state, self._source_state
         self.frames += 1
         self.is_empty = self.is_empty and not len(after)
 
@@ -76,13 +76,15 @@ class FrameWriter:
         if coded.before is None:
             follows = not refers_to_first(coded.packet) or self._refers_as_before(frame)
         else:
-            follows = self._shows is not None and same_scene(coded.before, self._shows)
+            follows = self._source_state is not None and same_scene(coded.before, self._source_state)
         return renamed(coded.packet, frame.state, after) if follows else None
 
     def _refers_as_before(self, frame: Frame) -> bool:
         """Whether the frame's packet refers to a first keyframe that the output has as well."""
         first = None if frame.coded is None else frame.coded.first
-        return first is not None and self._first_shows is not None and same_values(first, self._first_shows)
+        return (
+            first is not None and self._first_source_state is not None and same_values(first, self._first_source_state)
+        )
 
     def _coded_anew(self, after: State, is_key: bool) -> tuple[PacketKind, bytes, State]:
         before = self._state
@@ -102,7 +104,7 @@ class FrameWriter:
         return PacketKind.DELTA, write_delta(before, delta).payload, apply_delta(before, delta)
 
 
-def _named(state: State, ids: Rows, next_id: int, in_order: bool, frame: int) -> State:
+def _with_ids(state: State, ids: Rows, next_id: int, in_order: bool, frame: int) -> State:
     """The scene under the output's ids, in their order."""
     if in_order and next_id == state.next_id and np.array_equal(ids, state.ids):
         return replace(state, frame=frame)

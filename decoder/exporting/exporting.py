@@ -173,18 +173,18 @@ def _flush(file: BinaryIO) -> None:
 def _suffix(target: Path | BinaryIO, format: str | None) -> str:
     """Which kind of file is asked for, as a name's ending."""
     kinds = [*USD_SUFFIXES, *splat_formats()]
-    known = ", ".join(kinds)
+    suffixes = ", ".join(kinds)
     if isinstance(target, Path):
         if format is not None:
             raise UsageError(f"`format` {format}: the name {target} has an ending that says it; leave `format` out")
         if target.suffix.lower() not in kinds:
-            raise UsageError(f"{target}: exports are {known}; choose one of these endings")
+            raise UsageError(f"{target}: exports are {suffixes}; choose one of these endings")
         return target.suffix.lower()
     if format is None:
-        raise UsageError(f"-: a pipe has no name; say by `format` which of {known} goes into it")
+        raise UsageError(f"-: a pipe has no name; say by `format` which of {suffixes} goes into it")
     suffix = f".{format.lower().lstrip('.')}"
     if suffix not in kinds:
-        raise UsageError(f"`format` {format}: exports are {known}; choose one of these")
+        raise UsageError(f"`format` {format}: exports are {suffixes}; choose one of these")
     return suffix
 
 
@@ -235,9 +235,9 @@ def _asset(source: Path) -> tuple[str, str]:
 
 def _documentation(header: StreamHeader, name: str) -> str:
     """What the footage is and who may use it, as the stream says; or at least what this file is."""
-    said = " ".join(text for text in (header.source_text, header.licence) if text)
+    facts = " ".join(text for text in (header.source_text, header.licence) if text)
     own = f"{name}: free-viewpoint video as 3D Gaussians, from {len(header.cameras)} cameras, by {header.writer}."
-    return f"{own} {said}" if said else own
+    return f"{own} {facts}" if facts else own
 
 
 def _export_usd(plan: _Plan, stream: AnyStream, chosen: range, source: Path) -> ExportReport:
@@ -309,8 +309,8 @@ def _export_splats(plan: _Plan, stream: AnyStream, chosen: range, names: list[Pa
             for name, data in zip(names, files, strict=True):
                 with errors_named(str(name)):
                     size += (staging / name.name).write_bytes(data)
-    said = None if up is None else up_text(up)
-    return ExportReport(len(chosen), len(chosen), size, said, form.up, similarity.scale)
+    up_line = None if up is None else up_text(up)
+    return ExportReport(len(chosen), len(chosen), size, up_line, form.up, similarity.scale)
 
 
 def _fitted(form: SplatFormat, plan: _Plan, extremes: Extremes) -> SplatFormat:

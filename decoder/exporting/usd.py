@@ -131,8 +131,8 @@ def take_census(frames: Iterable[ExportFrame], *, view_dependent: bool = False) 
     """
     indices: list[int] = []
     previous: ExportFrame | None = None
-    known_ids = np.zeros(0, np.int64)
-    known: Splats | None = None
+    all_ids = np.zeros(0, np.int64)
+    all_splats: Splats | None = None
     touched: list[Ids] = []
     for raw in frames:
         _check_order(indices, raw.index)
@@ -143,26 +143,26 @@ def take_census(frames: Iterable[ExportFrame], *, view_dependent: bool = False) 
         if previous is not None and raw.splats is previous.splats and raw.ids is previous.ids:
             continue
         frame = _sorted_by_id(raw, view_dependent=view_dependent)
-        if previous is None or known is None:
-            known_ids, known = frame.ids, frame.splats
+        if previous is None or all_splats is None:
+            all_ids, all_splats = frame.ids, frame.splats
         else:
             touched[-1] = np.union1d(touched[-1], _touched(previous, frame))
-            fresh = ~np.isin(frame.ids, known_ids, assume_unique=True)
+            fresh = ~np.isin(frame.ids, all_ids, assume_unique=True)
             if fresh.any():
-                known_ids = np.concatenate([known_ids, frame.ids[fresh]])
-                known = join_splats(known, take_splats(frame.splats, fresh))
+                all_ids = np.concatenate([all_ids, frame.ids[fresh]])
+                all_splats = join_splats(all_splats, take_splats(frame.splats, fresh))
         previous = frame
-    if known is None:
-        return Census((), known_ids, empty_splats(0), known_ids, empty_splats(0), ())
-    order = np.argsort(known_ids)
-    known_ids, known = known_ids[order], take_splats(known, order)
-    changes = np.isin(known_ids, np.concatenate(touched))
+    if all_splats is None:
+        return Census((), all_ids, empty_splats(0), all_ids, empty_splats(0), ())
+    order = np.argsort(all_ids)
+    all_ids, all_splats = all_ids[order], take_splats(all_splats, order)
+    changes = np.isin(all_ids, np.concatenate(touched))
     return Census(
         tuple(indices),
-        known_ids[~changes],
-        take_splats(known, ~changes),
-        known_ids[changes],
-        take_splats(known, changes),
+        all_ids[~changes],
+        take_splats(all_splats, ~changes),
+        all_ids[changes],
+        take_splats(all_splats, changes),
         tuple(touched),
     )
 

@@ -293,8 +293,8 @@ class _explained:
         import av
 
         if isinstance(error, (av.FFmpegError, ValueError)) and not isinstance(error, UsageError):
-            said = getattr(error, "strerror", None) or str(error)
-            raise UsageError(f"{self._path.name}: cannot be written ({said}); choose another file") from None
+            reason = getattr(error, "strerror", None) or str(error)
+            raise UsageError(f"{self._path.name}: cannot be written ({reason}); choose another file") from None
 
 
 def _encoder(codec: Codec, path: Path) -> str:

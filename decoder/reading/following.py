@@ -35,7 +35,7 @@ from decogs.formats.stream.reasons import Reason
 from decogs.formats.stream.survey import check_damage_count, check_lost, next_past_damage, past_unfinished
 
 from ..limits import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
-from ..sound.following import ComingSound
+from ..sound.following import GrowingSound
 from .damage import Concealment, Damage, OnDamage, errors_name
 from .frame import DecodedFrame, decode_frame
 from .stream import in_its_world, read_header
@@ -48,7 +48,7 @@ _POLL = 0.05
 _BUILDING_ON = frozenset({PacketKind.DELTA, PacketKind.SKIP})
 """What only says how a frame differs from the one before."""
 
-_Found = TypeVar("_Found")
+_Awaited = TypeVar("_Awaited")
 
 
 class GrowingStream:
@@ -80,7 +80,7 @@ class GrowingStream:
         self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, DEFAULT_MAX_GAUSSIANS)
         self._limits |= {self._max_gaussians} - {DEFAULT_MAX_GAUSSIANS}
         self._first: State | None = None
-        self._sound: ComingSound | None = None
+        self._sound: GrowingSound | None = None
         self._is_over = False
 
     @property
@@ -88,14 +88,14 @@ class GrowingStream:
         """Whether the end packet has been read."""
         return self._reader.ended
 
-    def heard(self, first: int = 0) -> ComingSound:
+    def heard(self, first: int = 0) -> GrowingSound:
         """What is heard in the frames from ``first`` on, as far as they are over; the stream has sound.
 
         Asked for before `frames`, which brings it.
         """
         assert self.header.fps is not None
-        known = lambda: self.frame_count if self._is_over else self.frame_count - 1  # noqa: E731
-        self._sound = ComingSound(self.header.sound, self.header.fps, first, known)
+        frames_over = lambda: self.frame_count if self._is_over else self.frame_count - 1  # noqa: E731
+        self._sound = GrowingSound(self.header.sound, self.header.fps, first, frames_over)
         return self._sound
 
     def frames(self) -> Iterator[DecodedFrame]:
@@ -129,26 +129,26 @@ class GrowingStream:
         """
         errors: list[StreamError] = []
         sounds = 0
-        while (found := self._next()) is not None:
-            if isinstance(found, StreamError):
-                errors.append(self._accepted(found))
+        while (item := self._next()) is not None:
+            if isinstance(item, StreamError):
+                errors.append(self._accepted(item))
                 if self.ended:
                     break
-            elif found.kind == PacketKind.SOUND:
-                sounds += found.frame == expected - 1
-                if self._sound is not None and found.frame == expected - 1 and sounds <= MAX_PACKETS:
-                    self._hear(found, self._sound, errors)
-            elif found.kind in FRAME_KINDS or found.kind == PacketKind.END:
-                repeated = found.kind in FRAME_KINDS and found.frame < expected
-                disorder = _disorder(found, expected)
+            elif item.kind == PacketKind.SOUND:
+                sounds += item.frame == expected - 1
+                if self._sound is not None and item.frame == expected - 1 and sounds <= MAX_PACKETS:
+                    self._hear(item, self._sound, errors)
+            elif item.kind in FRAME_KINDS or item.kind == PacketKind.END:
+                repeated = item.kind in FRAME_KINDS and item.frame < expected
+                disorder = _disorder(item, expected)
                 # Frames that are missing where there is damage are no second fault.
                 if disorder is not None and (repeated or not errors):
                     errors.append(self._accepted(disorder))
                 if not repeated:
-                    return found, errors
+                    return item, errors
         return None, errors
 
-    def _hear(self, packet: Packet, sound: ComingSound, errors: list[StreamError]) -> None:
+    def _hear(self, packet: Packet, sound: GrowingSound, errors: list[StreamError]) -> None:
         try:
             sound.take(packet.frame, read_sound(packet, self.header.sound))
         except StreamError as error:
@@ -169,11 +169,11 @@ class GrowingStream:
                 self._concealment.report(Damage(error))
             return
         onward = packet is not None and packet.kind in _BUILDING_ON
-        found = [Damage(error, lost, before.shows, onward) for error in errors]
-        for damage in found:
+        damages = [Damage(error, lost, before.shows, onward) for error in errors]
+        for damage in damages:
             self._concealment.report(damage)
         for index in lost:
-            yield before.held(index, found[0])
+            yield before.held(index, damages[0])
 
     def _shown(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
         """A packet's frame, or the last good one when it is damaged or builds on what is lost."""
@@ -214,9 +214,9 @@ class GrowingStream:
 
     def _next(self) -> Packet | StreamError | None:
         """The next packet or damage, waited for; None after the end packet, and when nothing more comes."""
-        found = self._awaited(self._look)
-        if found is not None:
-            return found
+        item = self._awaited(self._look)
+        if item is not None:
+            return item
         if self._concealment.strict and self._reader.pending:
             raise stops_inside(self._reader.pending, self._reader.offset, self._reader.ordinal)
         self.unfinished_bytes = self._reader.pending
@@ -225,25 +225,25 @@ class GrowingStream:
     def _look(self) -> Packet | StreamError | None:
         return next_past_damage(self._reader, self._concealment.allows)
 
-    def _awaited(self, look: Callable[[], _Found]) -> _Found:
+    def _awaited(self, look: Callable[[], _Awaited]) -> _Awaited:
         """What ``look`` finds, waited for; None after the end packet, at a pipe's end and when nothing more comes."""
         read, since = self._reader.bytes_read, time.monotonic()
-        while (found := look()) is None:
+        while (result := look()) is None:
             if self.ended or self._idle is None:
-                return found
+                return result
             self._check_not_cut()
             if self._reader.bytes_read != read:
                 read, since = self._reader.bytes_read, time.monotonic()
             if time.monotonic() - since >= self._idle:
-                return found
+                return result
             time.sleep(_POLL)
-        return found
+        return result
 
     def _check_not_cut(self) -> None:
         """A file that was begun anew has lost what was read of it."""
-        place = self._reader.bytes_read
-        if os.fstat(self._file.fileno()).st_size < place:
-            raise StreamError(Reason.TRUNCATED, "the file was cut back meanwhile; follow it again", offset=place)
+        read = self._reader.bytes_read
+        if os.fstat(self._file.fileno()).st_size < read:
+            raise StreamError(Reason.TRUNCATED, "the file was cut back meanwhile; follow it again", offset=read)
 
 
 def _frames_declared(packet: Packet) -> int:

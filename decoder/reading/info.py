@@ -230,8 +230,8 @@ def info(
     ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``; without ``strict``, damage is among the facts.
     ``on_frame(done, all)`` is called with progress. Raises StreamError, OSError when the file cannot be read.
     """
-    found: list[Damage] = []
-    with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=found.append) as opened:
+    damages: list[Damage] = []
+    with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=damages.append) as opened:
         frames = []
         for frame in opened.frames():
             frames.append(_frame_info(frame))
@@ -246,7 +246,7 @@ def info(
             opened.unfinished_bytes,
             opened.header,
             tuple(frames),
-            tuple(found),
+            tuple(damages),
             sounds,
         )
 

@@ -240,8 +240,8 @@ class Stream:
         """From now on frames lie where the packet headers are; ``error``: what is wrong with the index."""
         self._survey = self._without_index()
         self._concealment.report(Damage(error))
-        for found in self._survey.harmless():
-            self._concealment.report(Damage(found))
+        for damage in self._survey.harmless():
+            self._concealment.report(Damage(damage))
 
     def _pass_over(self, error: StreamError) -> None:
         """Damage before a frame's packet, in one that holds no frame."""

@@ -51,8 +51,8 @@ def motion_to(
 
     ``plan`` is that of the picture of ``shown``, ``seen_by`` the camera of the picture of ``other``, lens included.
     """
-    here, there = _pixels(plan.camera, shown.splats.means), _pixels(seen_by, _means_in(shown, other))
-    moved = (there - here) * np.array([1, -1])
+    before, after = _pixels(plan.camera, shown.splats.means), _pixels(seen_by, _means_in(shown, other))
+    moved = (after - before) * np.array([1, -1])
     moved[~np.isfinite(moved).all(axis=1)] = 0
     farthest = float(max(plan.camera.width, plan.camera.height))
     moved = np.clip(moved, -farthest, farthest)
@@ -80,8 +80,8 @@ def _means_in(shown: DecodedFrame, other: DecodedFrame) -> FloatArray:
     means: FloatArray = shown.splats.means.copy()
     if same_scene(shown.state, other.state):
         return means
-    _, rows, there = np.intersect1d(shown.state.ids, other.state.ids, assume_unique=True, return_indices=True)
-    means[rows] = other.splats.means[there]
+    _, rows, other_rows = np.intersect1d(shown.state.ids, other.state.ids, assume_unique=True, return_indices=True)
+    means[rows] = other.splats.means[other_rows]
     return means
 
 

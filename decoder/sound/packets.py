@@ -24,7 +24,7 @@ def sound_behind(
     ``end``: where the next frame's packet lies, None behind the last. ``pass_over`` is called with what is wrong with a
     packet; its sound is not there then. A frame's packets beyond `MAX_PACKETS` are not looked at.
     """
-    found: list[SoundPacket] = []
+    packets: list[SoundPacket] = []
     looked_at = 0
     try:
         while looked_at < MAX_PACKETS and (end is None or reader.offset < end):
@@ -34,10 +34,10 @@ def sound_behind(
             if packet.kind == PacketKind.SOUND and packet.frame == frame:
                 looked_at += 1
                 try:
-                    found.append(read_sound(packet, tracks))
+                    packets.append(read_sound(packet, tracks))
                 except StreamError as error:
                     pass_over(error)
     except StreamError as error:
         error.sound_of = frame
         pass_over(error)
-    return tuple(found)
+    return tuple(packets)

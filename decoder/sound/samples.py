@@ -41,11 +41,11 @@ def mixed_sound(stream: HasSound, frames: range) -> Iterator[FloatArray]:
     header = stream.header
     assert header.fps is not None
     first = max(0, frames.start - frames_before(header.fps))
-    pieces = heard(stream.sounds(first, frames.stop), header.sound, header.fps, first)
+    pieces = decode_tracks(stream.sounds(first, frames.stop), header.sound, header.fps, first)
     return (mixed(voices) for voices in islice(pieces, frames.start - first, None))
 
 
-def heard(
+def decode_tracks(
     sounds: Iterable[FrameSound], tracks: Sequence[SoundTrack], fps: float, first: int = 0
 ) -> Iterator[list[FloatArray]]:
     """The samples (channels, N) of each track, for each frame from ``first`` on; silence where there is no sound."""
@@ -109,5 +109,5 @@ class _Voice:
     def between(self, begin: int, end: int) -> FloatArray:
         """What is heard in the frame, which then is over."""
         count = end - begin
-        there, self._tail = self._tail[:, :count], self._tail[:, count:]
-        return np.pad(there, ((0, 0), (0, count - there.shape[1])))
+        samples, self._tail = self._tail[:, :count], self._tail[:, count:]
+        return np.pad(samples, ((0, 0), (0, count - samples.shape[1])))

@@ -92,25 +92,25 @@ def _border(alpha: FloatArray, recorded: _Recorded) -> FloatArray:
     return np.asarray(alpha[recorded & (inner == 0)])
 
 
-def _check_agreement(origins: Sequence[str], found: _Agreement, warn: OnWarning) -> str:
-    denying, wrong = int(found.denied.argmax()), int(found.by_all_but_one.argmin())
-    if found.by_all_but_one[wrong] < _WRONG:
+def _check_agreement(origins: Sequence[str], agreement: _Agreement, warn: OnWarning) -> str:
+    denying, wrong = int(agreement.denied.argmax()), int(agreement.by_all_but_one.argmin())
+    if agreement.by_all_but_one[wrong] < _WRONG:
         raise RigError(
-            f"{origins[wrong]}: the other cameras' mattes confirm only {found.by_all_but_one[wrong]:.0%} of its "
+            f"{origins[wrong]}: the other cameras' mattes confirm only {agreement.by_all_but_one[wrong]:.0%} of its "
             "subject; is it another camera's, mirrored, or of another frame?"
         )
-    if found.denied[denying] > _DENIED:
+    if agreement.denied[denying] > _DENIED:
         raise RigError(
-            f"{origins[denying]}: leaves out {found.denied[denying]:.0%} of what all other cameras' mattes have; "
+            f"{origins[denying]}: leaves out {agreement.denied[denying]:.0%} of what all other cameras' mattes have; "
             "draw it whole, or hold the camera out"
         )
-    if found.by_all.min() < _DOUBTFUL:
+    if agreement.by_all.min() < _DOUBTFUL:
         warn(
             f"{origins[denying]}: mattes contradict each other, this one most, and what one leaves out is lost in all: "
-            f"at worst {found.by_all.min():.0%} of a camera's subject stays"
+            f"at worst {agreement.by_all.min():.0%} of a camera's subject stays"
         )
         return "mattes agree in part"
-    return f"mattes agree: of a camera's subject the others confirm {found.by_all.min():.0%} at least"
+    return f"mattes agree: of a camera's subject the others confirm {agreement.by_all.min():.0%} at least"
 
 
 @dataclass(frozen=True)
@@ -148,10 +148,10 @@ def _agreement(
                 misses = here[~subject[v[here].astype(np.int64), u[here].astype(np.int64)]]
                 missed[misses] += 1
                 last[misses] = index
-        rays, known = (len(chosen), -1), seen >= _MIN_VIEWS - 1
-        by_all = (known & (missed == 0)).reshape(rays).any(axis=1)
-        confirmed[:, row] = by_all.mean(), (known & (missed <= 1)).reshape(rays).any(axis=1).mean()
-        by_others = np.where(known & (missed == 1), last, -1).reshape(rays)[~by_all]
+        rays, is_seen = (len(chosen), -1), seen >= _MIN_VIEWS - 1
+        by_all = (is_seen & (missed == 0)).reshape(rays).any(axis=1)
+        confirmed[:, row] = by_all.mean(), (is_seen & (missed <= 1)).reshape(rays).any(axis=1).mean()
+        by_others = np.where(is_seen & (missed == 1), last, -1).reshape(rays)[~by_all]
         denied += [np.count_nonzero((by_others == index).any(axis=1)) for index in range(len(cameras))]
         asked += len(chosen)
     return _Agreement(confirmed[0], confirmed[1], denied / max(asked, 1))

@@ -80,13 +80,13 @@ def page_files(
     """
     folder = "./" if url is None else _folder_address(url)
     try:
-        found = {path.name: path.read_bytes() for path in sorted(PAGE.iterdir())}
-        index = found.pop(INDEX).decode("utf-8")
+        files = {path.name: path.read_bytes() for path in sorted(PAGE.iterdir())}
+        index = files.pop(INDEX).decode("utf-8")
     except (OSError, KeyError):
         raise UsageError(f"{PAGE}: the built player is missing; install decogs anew, or run make player") from None
     if poster is not None:
-        found[POSTER] = poster
-    if stream in (*found, INDEX):
+        files[POSTER] = poster
+    if stream in (*files, INDEX):
         raise UsageError(f"{stream}: the player's page has a file of that name; rename the stream")
     source = f'data-src="{escape(address_of(stream))}"' + (" follow" if follow else "")
     source += "" if recordings is None else f' recordings="{escape(recordings)}"'
@@ -97,7 +97,7 @@ def page_files(
         tags = "".join(f'\n<meta property="og:{name}" content="{escape(text)}">' for name, text in link.items())
         index = index.replace(_HEAD, _HEAD + tags)
     index = index.replace(_PLACE, source)
-    return [*(PageFile(name, data) for name, data in found.items()), PageFile(INDEX, index.encode("utf-8"))]
+    return [*(PageFile(name, data) for name, data in files.items()), PageFile(INDEX, index.encode("utf-8"))]
 
 
 def _folder_address(url: str) -> str:

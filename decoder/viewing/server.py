@@ -225,30 +225,30 @@ class _Handler(BaseHTTPRequestHandler):
             return
         with file:
             # What comes while it is sent is for the next request: the answer says how long it is before it begins.
-            found = os.fstat(file.fileno())
-            tag = f'"{found.st_ino:x}-{found.st_mtime_ns:x}-{found.st_size:x}"'
-            modified = formatdate(found.st_mtime, usegmt=True)
+            status = os.fstat(file.fileno())
+            tag = f'"{status.st_ino:x}-{status.st_mtime_ns:x}-{status.st_size:x}"'
+            modified = formatdate(status.st_mtime, usegmt=True)
             if not self.server.growing and self.headers.get("If-None-Match") == tag:
                 self.send_response(HTTPStatus.NOT_MODIFIED)
                 self._validators(tag, modified)
                 self.end_headers()
                 return
             try:
-                chosen = asked_range(self._range_unless_changed(tag, modified), found.st_size)
+                chosen = asked_range(self._range_unless_changed(tag, modified), status.st_size)
             except NoSuchBytes:
                 self._refuse(
                     HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
                     "the stream has no such bytes",
-                    ("Content-Range", f"bytes */{found.st_size}"),
+                    ("Content-Range", f"bytes */{status.st_size}"),
                 )
                 return
-            sent = range(found.st_size) if chosen is None else chosen
+            sent = range(status.st_size) if chosen is None else chosen
             self.send_response(HTTPStatus.OK if chosen is None else HTTPStatus.PARTIAL_CONTENT)
             self._common(OTHER_MEDIA, len(sent))
             self.send_header("Accept-Ranges", "bytes")
             self._validators(tag, modified)
             if chosen is not None:
-                self.send_header("Content-Range", f"bytes {sent.start}-{sent.stop - 1}/{found.st_size}")
+                self.send_header("Content-Range", f"bytes {sent.start}-{sent.stop - 1}/{status.st_size}")
             self.end_headers()
             if self.command != "HEAD":
                 self._send_bytes(file, sent)

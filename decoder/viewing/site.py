@@ -89,8 +89,8 @@ def _check_folder(folder: Path, names: set[str], overwrite: bool) -> None:
     check_folder_name(folder)
     if not folder.exists():
         return
-    there = {path.name for path in folder.iterdir()}
-    if there and not overwrite and not (there <= names and _is_ours(folder / INDEX)):
+    existing = {path.name for path in folder.iterdir()}
+    if existing and not overwrite and not (existing <= names and _is_ours(folder / INDEX)):
         raise UsageError(f"{folder}: holds files already; name a new folder, or write into it with `overwrite`")
 
 

@@ -141,12 +141,12 @@ _DECIDED_LATER = f"decided by every frame of an encode: {', '.join(FRAME_EFFECTS
 
 def _row(finding: Finding) -> tuple[str, ...]:
     evidence, decision = finding.evidence, finding.decision
-    known = math.isfinite(evidence.peak)
+    is_determined = math.isfinite(evidence.peak)
     return (
         decision.effect,
         "yes" if decision.detected else "no",
         f"{decision.confidence:.0%}",
-        f"{evidence.peak:.3g} {evidence.unit}" if known else "undetermined",
+        f"{evidence.peak:.3g} {evidence.unit}" if is_determined else "undetermined",
         f"{evidence.limit:g}",
     )
 

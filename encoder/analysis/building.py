@@ -116,14 +116,14 @@ def with_effects(
     ``decisions``: of the rig (`analysis.analyse`), called only if the wanted effects depend on them.
     """
     fixed = wanted.base != AUTO and not set(wanted.names(())) - set(PRESET_EFFECTS)
-    found = {} if fixed else {decision.effect: decision for decision in decisions()}
-    names = wanted.names([name for name, decision in found.items() if decision.detected])
+    by_effect = {} if fixed else {decision.effect: decision for decision in decisions()}
+    names = wanted.names([name for name, decision in by_effect.items() if decision.detected])
     built = []
     enabled = {effect.name: effect.enabled for effect in EFFECTS}
     for name in EFFECT_NAMES:
         chosen = without = _WITHOUT[name](settings)
         if name in names:
-            decision = found.get(name)
+            decision = by_effect.get(name)
             if decision is not None and (not decision.detected or _is_common(decision, cameras)):
                 decision = replace(decision, cameras=tuple(cameras))
             chosen = settings if decision is None else enabled[name](settings, decision)

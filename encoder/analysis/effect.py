@@ -35,8 +35,8 @@ class Evidence:
     @property
     def peak(self) -> float:
         """The largest value; NaN when nothing could be determined."""
-        known = self.values[np.isfinite(self.values)]
-        return float(known.max()) if known.size else float("nan")
+        finite = self.values[np.isfinite(self.values)]
+        return float(finite.max()) if finite.size else float("nan")
 
     @property
     def reached(self) -> BoolArray:
@@ -120,9 +120,9 @@ def one_span(stats: RigStatistics, counts: BoolArray) -> tuple[Span, ...]:
     return ((first, stats.frames[rows[-1]]),)
 
 
-def reason_of(evidence: Evidence, known: str, unknown: str) -> str:
-    """A decision's reason: ``known``, or why the evidence is undetermined."""
-    return known if np.isfinite(evidence.peak) else f"undetermined: {unknown}"
+def reason_of(evidence: Evidence, reason: str, unknown: str) -> str:
+    """A decision's reason: the given ``reason``, or why the evidence is undetermined."""
+    return reason if np.isfinite(evidence.peak) else f"undetermined: {unknown}"
 
 
 def make_decision(

@@ -116,13 +116,17 @@ def _beyond_calibration(stats: RigStatistics) -> tuple[F64, F64, F64]:
     met = fit.matches_of_cameras()
     if met.max(initial=0) < _MIN_CAMERA_MATCHES:
         return beyond, error, k1
-    found, deviation = fit.solve()
+    estimate, deviation = fit.solve()
     kept = fit.matches_of_cameras()
-    known = (kept >= _MIN_CAMERA_MATCHES) & (kept >= _MIN_INLIER_SHARE * met)
+    is_reliable = (kept >= _MIN_CAMERA_MATCHES) & (kept >= _MIN_INLIER_SHARE * met)
     radii = fit.radii()
     fisheye = [camera.distortion_model == "fisheye" for camera in stats.cameras]
     pixels = np.array([camera.fx for camera in stats.cameras]) * np.where(fisheye, np.arctan(radii), radii) ** 3
-    beyond[known], error[known], k1[known] = (found * pixels)[known], (deviation * pixels)[known], found[known]
+    beyond[is_reliable], error[is_reliable], k1[is_reliable] = (
+        (estimate * pixels)[is_reliable],
+        (deviation * pixels)[is_reliable],
+        estimate[is_reliable],
+    )
     return beyond, error, k1
 
 
@@ -155,11 +159,11 @@ class _Fit:
 
     def radii(self) -> F64:
         """The radius of each camera, in its focal lengths, within which nearly all of its matches lie."""
-        found: list[list[F64]] = [[np.zeros(1)] for _ in self.cameras]
+        by_camera: list[list[F64]] = [[np.zeros(1)] for _ in self.cameras]
         for pair in self.pairs:
-            found[pair.first].append(np.linalg.norm(pair.first_rays, axis=1))
-            found[pair.second].append(np.linalg.norm(pair.second_rays, axis=1))
-        return np.array([np.quantile(np.concatenate(each), _RADIUS_QUANTILE) for each in found])
+            by_camera[pair.first].append(np.linalg.norm(pair.first_rays, axis=1))
+            by_camera[pair.second].append(np.linalg.norm(pair.second_rays, axis=1))
+        return np.array([np.quantile(np.concatenate(each), _RADIUS_QUANTILE) for each in by_camera])
 
     def solve(self) -> tuple[F64, F64]:
         """k1 of every camera and its standard deviation."""
@@ -208,9 +212,9 @@ class _Fit:
             for unknowns, cameras in ((first, self._first), (second, self._second))
         )
         essential = essential_matrices(one, two, self._baselines)[self._pair]
-        here = _undistort(self._first_rays, first[self._pair, 0])
-        there = _undistort(self._second_rays, second[self._pair, 0])
-        return np.asarray(sampson_distances(here, there, essential) * self._focal_lengths)
+        first_rays = _undistort(self._first_rays, first[self._pair, 0])
+        second_rays = _undistort(self._second_rays, second[self._pair, 0])
+        return np.asarray(sampson_distances(first_rays, second_rays, essential) * self._focal_lengths)
 
 
 def _undistort(rays: F64, k1: F64) -> F64:

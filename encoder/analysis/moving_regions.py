@@ -59,14 +59,14 @@ def moving_regions(
     are not the same views.
     """
     with side_by_side(threads) as each:
-        found = list(each(lambda view: _changes(*view), zip(current, previous, masks, strict=True)))
-    views = [pixels for pixels, _ in found if pixels is not None]
+        changes = list(each(lambda view: _changes(*view), zip(current, previous, masks, strict=True)))
+    views = [pixels for pixels, _ in changes if pixels is not None]
     if not views:
         return None
     # All views together count as one more, since views may be unclear one by one.
     together = _Pixels(*(sum(getattr(view, each.name) for view in views) for each in fields(_Pixels)))
     if together.changed < _MIN_CHANGED_PIXELS or any(view.moves for view in (*views, together)):
-        return [region for _, region in found]
+        return [region for _, region in changes]
     return None
 
 

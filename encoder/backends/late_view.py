@@ -96,10 +96,10 @@ class LateView:
         assert self._shown is not None
         before = self._scene.means
         new = np.arange(len(before)) if renumbered is None else renumbered
-        there = np.flatnonzero(new >= 0)
+        survivors = np.flatnonzero(new >= 0)
         motion = np.zeros_like(scene.means)
-        motion[new[there]] = scene.means[new[there]] - before[there]
-        stale = there[(self._shown.means[there] != before[there]).any(axis=1)]
+        motion[new[survivors]] = scene.means[new[survivors]] - before[survivors]
+        stale = survivors[(self._shown.means[survivors] != before[survivors]).any(axis=1)]
         self._view.detach(stale)
         self._scene, self._shown = scene, _moved(scene, self._late * motion)
         self._view.commit(self._shown, np.union1d(rows, new[stale]), renumbered)

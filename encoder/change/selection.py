@@ -103,7 +103,7 @@ def _centres_inside(centres: NDArray[np.float32], mask: NDArray[np.bool_]) -> ND
     height, width = mask.shape
     with np.errstate(invalid="ignore"):
         inside = (centres[:, 0] >= 0) & (centres[:, 0] < width) & (centres[:, 1] >= 0) & (centres[:, 1] < height)
-    found = np.zeros(len(centres), bool)
+    centre_inside = np.zeros(len(centres), bool)
     pixels = centres[inside].astype(np.int64)
-    found[inside] = mask[pixels[:, 1], pixels[:, 0]]
-    return found
+    centre_inside[inside] = mask[pixels[:, 1], pixels[:, 0]]
+    return centre_inside

@@ -85,7 +85,7 @@ def encode_on_cluster(
 
     def run(task: EncodeJob, parts: Sequence[range], key: bytes | None, files: dict[range, Path], done: int) -> None:
         """Runs parts and writes each one under its name as it comes; raises UsageError for one that cannot be."""
-        most, said = done, set[str]()
+        most, warned = done, set[str]()
         for event in engine.run(task, parts, key):
             if isinstance(event, int):
                 most = max(most, done + event)
@@ -95,9 +95,9 @@ def encode_on_cluster(
             part, outcome = event
             _check(outcome)
             for warning in outcome.warnings:
-                if warning not in said:
+                if warning not in warned:
                     _warn(on_warning, warning)
-            said.update(outcome.warnings)
+            warned.update(outcome.warnings)
             write_whole(files[part], outcome.data, expendable=partial(is_expendable, is_of_part))
 
     with engine:

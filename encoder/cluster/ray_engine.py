@@ -131,8 +131,8 @@ class RayEngine:
             outcome: Outcome = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             # A lost argument of a task is an error of the task by its type.
-            known = self._ray.exceptions
-            if isinstance(error, known.RayTaskError) and not isinstance(error.cause, known.ObjectLostError):
+            exceptions = self._ray.exceptions
+            if isinstance(error, exceptions.RayTaskError) and not isinstance(error.cause, exceptions.ObjectLostError):
                 raise
             message = str(error).strip().splitlines() or [type(error).__name__]
             return Outcome(problem=f"`cluster`: a worker was lost ({message[0]})", again=True)

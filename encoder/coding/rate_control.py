@@ -106,7 +106,7 @@ class RateControl:
     whole segments meets it. Rejected: saving up for them (their size is unknown; on workbench it doubles from one to
     the next).
 
-    ``frames`` so far and the bytes ``spent`` on them; ``place``: frames since the last keyframe, whose size is ``key``;
+    ``frames`` so far and the bytes ``spent`` on them; ``index``: frames since the last keyframe, whose size is ``key``;
     ``content``: log2 of a delta's size at the settings' own threshold, in budgets; ``octaves``: log2 of the factor.
     """
 
@@ -114,7 +114,7 @@ class RateControl:
     segment: int
     frames: int = 0
     spent: int = 0
-    place: int = 0
+    index: int = 0
     key: int | None = None
     content: float | None = None
     octaves: float = 0.0
@@ -134,15 +134,15 @@ class RateControl:
         Keyframes and frames without a change give no estimate of a delta's size.
         """
         # A first packet that is a keyframe begins a closed segment, which has its own control.
-        place = 0 if not self.frames and kind == PacketKind.KEY else self.place + 1
+        index = 0 if not self.frames and kind == PacketKind.KEY else self.index + 1
         key, content = self.key, self.content
         if kind == PacketKind.KEY and self.segment:
             key = size
         elif kind == PacketKind.DELTA:
-            found = math.log2(size / self.budget) + _RESPONSE_EXPONENT * self.octaves
-            past = found if content is None else content
-            content = _ESTIMATE_KEPT * past + (1 - _ESTIMATE_KEPT) * found
-        now = replace(self, frames=self.frames + 1, spent=self.spent + size, place=place, key=key, content=content)
+            estimate = math.log2(size / self.budget) + _RESPONSE_EXPONENT * self.octaves
+            past = estimate if content is None else content
+            content = _ESTIMATE_KEPT * past + (1 - _ESTIMATE_KEPT) * estimate
+        now = replace(self, frames=self.frames + 1, spent=self.spent + size, index=index, key=key, content=content)
         return now if content is None else replace(now, octaves=now._octaves(content))
 
     def _octaves(self, content: float) -> float:
@@ -156,7 +156,7 @@ class RateControl:
         if self.key is not None:
             payment = (self.key - self.budget) / max(1, self.segment - 1)
             share = max(share - payment, _MIN_SHARE * self.budget)
-            saved += payment * (self.segment - 1 - self.place % self.segment)
+            saved += payment * (self.segment - 1 - self.index % self.segment)
         low, high = _TARGET_RANGE
         return min(max((share + saved / _BYTES_HORIZON_FRAMES) / self.budget, low * share / self.budget), high)
 

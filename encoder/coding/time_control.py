@@ -100,8 +100,8 @@ class TimeControl:
         """
         if self.deferred >= _MAX_DEFERRED_FRAMES:
             return False
-        there = max(self.budget + self.kept, self._allowance())
-        return self._has_overspent() or there < counted_seconds(seconds) + least + (self.after or 0.0)
+        available = max(self.budget + self.kept, self._allowance())
+        return self._has_overspent() or available < counted_seconds(seconds) + least + (self.after or 0.0)
 
     def deadline(self, seconds: Mapping[str, float]) -> float:
         """When the next frame's training is to be over, in seconds of ``time.perf_counter``.

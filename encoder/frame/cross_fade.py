@@ -63,11 +63,11 @@ def fade_cameras(cameras: Sequence[Camera]) -> list[Camera]:
     """
     pairs = _neighbours(np.array([camera_centre(camera) for camera in cameras]))
     ends = [index for index in range(len(cameras)) if sum(index in pair for pair in pairs) == 1]
-    beyond = [(here, there) for pair in pairs for here, there in (pair, pair[::-1]) if here in ends]
-    found = [replace(camera, name=f"at {camera.name}") for camera in cameras]
-    found += [_between(cameras[here], cameras[there], 0.5) for here, there in pairs]
-    found += [_between(cameras[here], cameras[there], -0.5) for here, there in beyond]
-    return [_small(camera) for camera in found]
+    beyond = [(one, other) for pair in pairs for one, other in (pair, pair[::-1]) if one in ends]
+    fade = [replace(camera, name=f"at {camera.name}") for camera in cameras]
+    fade += [_between(cameras[one], cameras[other], 0.5) for one, other in pairs]
+    fade += [_between(cameras[one], cameras[other], -0.5) for one, other in beyond]
+    return [_small(camera) for camera in fade]
 
 
 def _neighbours(centres: NDArray[np.float64]) -> list[tuple[int, int]]:
@@ -82,10 +82,10 @@ def _between(camera: Camera, other: Camera, share: float) -> Camera:
 
     Rounded, since the last bits of a decomposition depend on the processor.
     """
-    here, there = camera.world_to_camera[:3, :3], other.world_to_camera[:3, :3]
-    turn = cv2.Rodrigues(turned(there, here).T)[0] * share
+    rotation, other_rotation = camera.world_to_camera[:3, :3], other.world_to_camera[:3, :3]
+    turn = cv2.Rodrigues(turned(other_rotation, rotation).T)[0] * share
     pose = np.eye(4)
-    pose[:3, :3] = turned(cv2.Rodrigues(turn)[0], here.T).T
+    pose[:3, :3] = turned(cv2.Rodrigues(turn)[0], rotation.T).T
     centre = (1 - share) * camera_centre(camera) + share * camera_centre(other)
     pose[:3, 3] = -turned(pose[:3, :3], centre)
     return replace(camera, name=f"{camera.name} {share:+} {other.name}", world_to_camera=np.round(pose, 12))
@@ -159,11 +159,11 @@ def _fading(scene: Splats, trained: TrainedFrame, fade: CrossFade) -> _Fading:
     rows = np.setdiff1d(np.union1d(trained.kept, fade.rows), trained.removed)
     values = take_splats(scene, rows)
     sensitivity = Splats(*(np.zeros_like(getattr(values, name)) for name in ATTRIBUTES))
-    place = np.searchsorted(rows, trained.kept)
+    trained_rows = np.searchsorted(rows, trained.kept)
     for name in ATTRIBUTES:
-        getattr(values, name)[place] = getattr(trained.values, name)
+        getattr(values, name)[trained_rows] = getattr(trained.values, name)
         if trained.sensitivity is not None:
-            getattr(sensitivity, name)[place] = getattr(trained.sensitivity, name)
+            getattr(sensitivity, name)[trained_rows] = getattr(trained.sensitivity, name)
     numbered = np.concatenate([rows, np.arange(len(scene), len(scene) + len(trained.added))])
     all_values = join_splats(values, trained.added)
     return _Fading(numbered, len(rows), all_values, sensitivity, np.union1d(rows, trained.removed))
@@ -173,7 +173,7 @@ def _losses(
     kernel: TrainingKernel, fade: CrossFade, scene: Splats, fading: _Fading, weights: FocusWeights
 ) -> list[tuple[FixedView, PhotometricLoss]]:
     """The fade's views in which the two scenes differ, ready to be drawn, and each one's loss against their mixture."""
-    found = []
+    losses = []
     fade.views.of(scene).detach(fading.detached)
     for view in fade.views:
         view.draw(fading.values, fading.rows)
@@ -181,8 +181,8 @@ def _losses(
         differs = np.abs(theirs - mine).max(axis=0) > _MIN_DIFFERENCE
         if differs.any():
             target = mine + np.float32(fade.share) * (theirs - mine)
-            found.append((view, focus_loss(target, differs, None, weights)))
-    return found
+            losses.append((view, focus_loss(target, differs, None, weights)))
+    return losses
 
 
 def _cross_faded(trained: TrainedFrame, fading: _Fading, optimiser: Optimiser, share: float) -> TrainedFrame:
@@ -192,8 +192,11 @@ def _cross_faded(trained: TrainedFrame, fading: _Fading, optimiser: Optimiser, s
     of the fade's and of the frame's training.
     """
     values, old = optimiser.splats, np.arange(fading.old)
-    found = (optimiser.gradient_size(name)[: fading.old] / np.float32(share) for name in ATTRIBUTES)
-    sizes = (np.maximum(size, getattr(fading.sensitivity, name)) for name, size in zip(ATTRIBUTES, found, strict=True))
+    gradient_sizes = (optimiser.gradient_size(name)[: fading.old] / np.float32(share) for name in ATTRIBUTES)
+    sizes = (
+        np.maximum(size, getattr(fading.sensitivity, name))
+        for name, size in zip(ATTRIBUTES, gradient_sizes, strict=True)
+    )
     return replace(
         trained,
         kept=fading.rows[: fading.old],

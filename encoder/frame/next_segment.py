@@ -83,13 +83,13 @@ def train_next_segment(context: Context, scene: Scene, memory: Memory, frames: S
     origin = scene.first
     first: Encoded | None = None
     scenes: dict[int, Scene] = {}
-    for place, frame in enumerate(reversed(frames)):
+    for offset, frame in enumerate(reversed(frames)):
         # Frames are counted on from the start, not back, as an encode expects.
-        task = Task(replace(frame, index=start + place))
+        task = Task(replace(frame, index=start + offset))
         pending = compensate_and_classify(unlogged, scene, memory, task)
         if pending.kind is Kind.CUT:
             break
-        if not place:
+        if not offset:
             origin = pending.scene.state
         encoded = train_and_code(unlogged, pending, task)
         scene, memory, first = encoded.scene, encoded.memory, first or encoded

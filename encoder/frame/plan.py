@@ -114,13 +114,13 @@ def plan_frame(
                 moving = look.moving
             else:
                 moving = moving_regions(frame.pictures, memory.masks.references, masks, threads=context.threads)
-            found = enabled_effects(settings, moving)
-            effects, settings = found.effects, found.settings
-            if found.moving is None:
+            enabled = enabled_effects(settings, moving)
+            effects, settings = enabled.effects, enabled.settings
+            if enabled.moving is None:
                 relit = _is_missed(frame, masks)
             else:
                 views = memory.views.of(frame.scene.splats)
-                by_light = light_only(views, masks, selected, found.moving, settings.frame.selection)
+                by_light = light_only(views, masks, selected, enabled.moving, settings.frame.selection)
     now = settings.frame
     if isinstance(memory.stage, BackdropStage):
         now = replace(now, significance=scaled_significance(now.significance, _STAGE_SIGNIFICANCE))

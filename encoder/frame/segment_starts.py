@@ -59,9 +59,9 @@ class SegmentStarts:
         cut = self._cut_before(frame)
         if cut == frame.index:
             return None
-        found = self.kept(cut) or train(self._frame(cut))
-        self._kept = found or self._kept
-        return found
+        start = self.kept(cut) or train(self._frame(cut))
+        self._kept = start or self._kept
+        return start
 
     def _cut_before(self, frame: RigFrame) -> int:
         """The rig's frame with which the scene of a segment's first ``frame`` began."""

@@ -23,9 +23,9 @@ def mutual_nearest(first: NDArray[np.float32], second: NDArray[np.float32], reac
     if not len(first) or not len(second):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     low = np.minimum(first.min(axis=0), second.min(axis=0)).astype(np.float64)
-    there, back = _nearest(first, second, low, reach), _nearest(second, first, low, reach)
-    rows = np.flatnonzero((there >= 0) & (back[there] == np.arange(len(first))))
-    return rows, there[rows]
+    forth, back = _nearest(first, second, low, reach), _nearest(second, first, low, reach)
+    rows = np.flatnonzero((forth >= 0) & (back[forth] == np.arange(len(first))))
+    return rows, forth[rows]
 
 
 def _nearest(points: NDArray[np.float32], among: NDArray[np.float32], low: NDArray[np.float64], reach: float) -> Rows:

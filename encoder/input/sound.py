@@ -72,8 +72,8 @@ def sound_source(
     if audio is None or str(audio) == NONE:
         return None
     if rig.fps is None or rig.fps < SLOWEST:
-        known = "no frame rate" if rig.fps is None else f"{rig.fps:g} frames per second"
-        raise UsageError(f"`audio` {audio}: {rig.path} has {known}, and sound needs at least {SLOWEST:g}")
+        rate = "no frame rate" if rig.fps is None else f"{rig.fps:g} frames per second"
+        raise UsageError(f"`audio` {audio}: {rig.path} has {rate}, and sound needs at least {SLOWEST:g}")
     cameras = {camera.name: rig.recording(camera.name) for camera in rig.cameras}
     if str(audio) == AUTO:
         best = _clearest(cameras)
@@ -119,7 +119,7 @@ def _pieces(chapters: Sequence[VideoSource], frame: int, rate: float) -> Iterato
 
 def _clearest(recordings: Mapping[str, FrameSource]) -> str | None:
     """The camera whose sound is highest above its quiet moments; one that clips comes after all others."""
-    found = {}
+    clearness = {}
     for name, video in recordings.items():
         sound = read_sound(video.path, _SECONDS_COMPARED) if isinstance(video, VideoSource) else None
         if sound is not None and len(sound.samples) >= 2 * _WINDOW:
@@ -128,5 +128,5 @@ def _clearest(recordings: Mapping[str, FrameSource]) -> str | None:
             if energies.max() <= _SILENCE:
                 continue
             is_clipped = bool((np.abs(whole) >= 1).mean() > _CLIPPED)
-            found[name] = (not is_clipped, float(energies.mean() / max(np.percentile(energies, 10), _SILENCE)))
-    return max(found, key=lambda name: found[name], default=None)
+            clearness[name] = (not is_clipped, float(energies.mean() / max(np.percentile(energies, 10), _SILENCE)))
+    return max(clearness, key=lambda name: clearness[name], default=None)

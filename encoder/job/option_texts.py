@@ -12,9 +12,9 @@ _DURATION = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
 
 def seconds_per_frame(text: str) -> float:
     """Seconds of ``1.5s/frame``, ``500ms/frame`` or plain ``1.5``; raises UsageError for what is no time."""
-    found = _DURATION.fullmatch(text.strip())
+    match = _DURATION.fullmatch(text.strip())
     try:
-        seconds = float(found[1]) * (0.001 if found[2] == "ms" else 1) if found else math.nan
+        seconds = float(match[1]) * (0.001 if match[2] == "ms" else 1) if match else math.nan
     except ValueError:
         seconds = math.nan
     if not (math.isfinite(seconds) and seconds > 0):

@@ -102,12 +102,12 @@ def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Sp
     inverse = np.divide(rendered.alpha, rendered.depth, out=np.zeros_like(rendered.depth), where=solid)
     colours = resized(picture, camera).transpose(1, 2, 0)
     border = ((margin, margin), (margin, margin))
-    known = np.pad(inverse, border)
+    padded = np.pad(inverse, border)
     return _WidePicture(
         wide,
         margin,
         _pixels_beside(np.pad(recorded > 0.999, border)),
-        fill_depths(known) if solid.any() else known,
+        fill_depths(padded) if solid.any() else padded,
         push_pull(np.pad(colours, (*border, (0, 0))), np.pad(recorded, border)),
     )
 

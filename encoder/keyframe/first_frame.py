@@ -77,7 +77,7 @@ def train_first_frame(
             [view.pinhole for view in ingest.views],
             [picture.transpose(1, 2, 0) for picture in frame.training],
             recorded=[view.recorded for view in ingest.views],
-            known=ingest.rig.points,
+            given=ingest.rig.points,
             cap=most if stage is None else max(1, round(stage.hull.share * most)),
             within=None if stage is None else stage.may_show,
             seed=seed,
@@ -91,13 +91,13 @@ def train_first_frame(
     colours: Corrections = {} if header is None else header.camera_colours
     with watch.stage("first_points"):
         points, stage = points_of(frame)
-        found = stage
+        frame_stage = stage
         if header is None and settings.corrections.match_colours:
             shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
             colours = find_colours(ingest.views, frame.training, *shared)
             frame = match_colours(frame, ingest.views, colours)
-            found = find_stage(ingest.views, frame)
-            stage = None if stage is None else found
+            frame_stage = find_stage(ingest.views, frame)
+            stage = None if stage is None else frame_stage
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
@@ -124,7 +124,7 @@ def train_first_frame(
     if settings.detect_per_frame and header is None:
         values = trim_sh_degree(values)
     state, _ = keyframe_state(values, first_id=first_id)
-    return FirstFrame(state, trained.lattice, colours, frame, found)
+    return FirstFrame(state, trained.lattice, colours, frame, frame_stage)
 
 
 def _check_not_black(frame: RigFrame, views: Sequence[View]) -> None:

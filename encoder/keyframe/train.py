@@ -343,9 +343,9 @@ class _KeyframeTraining:
 
     def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
         """Sets these attributes to ``points`` of the lattice and freezes them."""
-        there = dequantise(points, lattice)
-        self._optimiser.put(**{name: getattr(there, name) for name in names})
-        self._optimiser.freeze({name: np.ones(getattr(there, name).shape, bool) for name in names})
+        values = dequantise(points, lattice)
+        self._optimiser.put(**{name: getattr(values, name) for name in names})
+        self._optimiser.freeze({name: np.ones(getattr(values, name).shape, bool) for name in names})
 
     def _rd_quantised(self, lattice: Lattice) -> Attributes:
         """Lattice points: rate-distortion optimised for rotations and view-dependent colours, else the nearest."""
@@ -412,10 +412,10 @@ class _KeyframeTraining:
             self._optimiser.keep(~free)
             self._view_gradients = self._kernel.view_gradients(len(self._optimiser))
 
-    def _report(self, stage: str, place: int, step: int, loss: LossValue, on_step: OnKeyframeStep | None) -> None:
+    def _report(self, stage: str, index: int, step: int, loss: LossValue, on_step: OnKeyframeStep | None) -> None:
         """Reports a step to observers; to read its loss waits for the device."""
         if self._stopping.on_loss is not None:
-            self._stopping.on_loss(stage, place, loss.total)
+            self._stopping.on_loss(stage, index, loss.total)
         if on_step:
             if (step - 1) % _REPORT_EVERY_STEPS == 0:
                 self._reported_loss = loss.total

@@ -21,11 +21,13 @@ class JsonLines:
     """
 
     def __init__(self, path: Path, parameter: str, *, append: bool = False) -> None:
-        self._said = f"`{parameter}` {path}"
+        self._description = f"`{parameter}` {path}"
         try:
             self._file = open_in_place(path, append=append)
         except OSError as error:
-            raise UsageError(f"{self._said}: {error.strerror}; name a file in a folder that can be written") from error
+            raise UsageError(
+                f"{self._description}: {error.strerror}; name a file in a folder that can be written"
+            ) from error
         except UsageError as error:
             raise UsageError(f"`{parameter}` {error}") from None
 
@@ -58,4 +60,4 @@ class JsonLines:
             self._refuse(error)
 
     def _refuse(self, error: OSError) -> None:
-        raise UsageError(f"{self._said}: {error.strerror}; free space, or name a file elsewhere") from error
+        raise UsageError(f"{self._description}: {error.strerror}; free space, or name a file elsewhere") from error

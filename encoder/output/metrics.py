@@ -19,10 +19,10 @@ def write_metrics(output: StreamOutput, frame: int, report: FrameReport) -> None
     ``held_out_own_size_psnr``. What is no finite number is left out, an empty packet too."""
     figures = {"psnr": report.training_psnr, "held_out_psnr": report.held_out_psnr}
     figures["held_out_own_size_psnr"] = report.held_out_own_size_psnr
-    known = {
+    finite = {
         name: round(value, _DECIMALS) for name, value in figures.items() if value is not None and math.isfinite(value)
     }
-    if known and report.scale != 1:
-        known["scale"] = report.scale
-    if known:
-        output.write(PacketKind.METRICS, frame, json.dumps(known, sort_keys=True, separators=(",", ":")).encode())
+    if finite and report.scale != 1:
+        finite["scale"] = report.scale
+    if finite:
+        output.write(PacketKind.METRICS, frame, json.dumps(finite, sort_keys=True, separators=(",", ":")).encode())

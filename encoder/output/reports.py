@@ -80,20 +80,20 @@ class EncodeReport:
     held_out_sizes: dict[str, tuple[tuple[int, int], tuple[int, int]]] = field(default_factory=dict)
 
 
-def left_out_warnings(frames: Sequence[FrameReport], known: Mapping[str, Collection[int]]) -> Iterator[str]:
+def left_out_warnings(frames: Sequence[FrameReport], warned_frames: Mapping[str, Collection[int]]) -> Iterator[str]:
     """A line for every camera and reason, with the frames that the camera had no part in.
 
-    ``known``: by camera, frames of which the user knows; none where these are all.
+    ``warned_frames``: by camera, frames of which the user knows; none where these are all.
     """
-    found: dict[str, dict[str, list[int]]] = {}
+    by_camera: dict[str, dict[str, list[int]]] = {}
     for frame in frames:
         why = {name: f"its picture is {why}" for name, why in frame.left_out.items()} | frame.dropped
         for name, reason in why.items():
-            found.setdefault(name, {}).setdefault(reason, []).append(frame.frame)
-    for name, reasons in found.items():
+            by_camera.setdefault(name, {}).setdefault(reason, []).append(frame.frame)
+    for name, reasons in by_camera.items():
         if len(reasons) > _MAX_REASONS:
             first = f"{next(iter(reasons))} (and {len(reasons) - 1} more such)"
             reasons = {first: sorted(chain.from_iterable(reasons.values()))}
         for reason, numbers in reasons.items():
-            if not set(numbers) <= set(known.get(name, ())):
+            if not set(numbers) <= set(warned_frames.get(name, ())):
                 yield f"camera {name} was left out of {frames_text(numbers)}: {reason}"

@@ -110,12 +110,12 @@ def pack(
 
 
 class _Packing:
-    """The stream so far; ``_place`` is the row in the last file of each Gaussian of the state."""
+    """The stream so far; ``_file_rows``: the row in the last file of each Gaussian of the state."""
 
     def __init__(self, header: StreamHeader, output: StreamOutput, segment: int, *, exact: bool) -> None:
         self._header, self._output, self._segment, self._exact = header, output, segment, exact
         self._scene: Scene | None = None
-        self._place: Rows = np.zeros(0, np.int64)
+        self._file_rows: Rows = np.zeros(0, np.int64)
         self._frames = 0
         self.by_position = 0
 
@@ -134,7 +134,7 @@ class _Packing:
         return packet.size
 
     def _first(self, splats: Splats) -> Packet:
-        state, self._place = keyframe_state(quantise(splats, self._header.lattice))
+        state, self._file_rows = keyframe_state(quantise(splats, self._header.lattice))
         self._output.begin(self._header.to_bytes())
         return key_packet(self._header, state, {}).packet
 
@@ -153,15 +153,15 @@ class _Packing:
         trained = TrainedFrame(kept, values, removed, take_splats(splats, added))
         # The stream has new Gaussians in Morton order, behind the others.
         added = added[morton_order(quantise(trained.added, header.lattice).means)]
-        self._place = np.concatenate([rows, added])
+        self._file_rows = np.concatenate([rows, added])
         return frame_packet(scene, self._frames, trained, SignificanceSettings(), {}, segment=self._segment).packet
 
     def _match(self, before: FloatArray, splats: Splats) -> tuple[Rows, Rows]:
         """Rows of the state, whose positions were ``before``, that go on, ascending, and their rows in the file."""
         if len(splats) == len(before):
-            way = np.linalg.norm(splats.means[self._place].astype(np.float64) - before, axis=1)
+            way = np.linalg.norm(splats.means[self._file_rows].astype(np.float64) - before, axis=1)
             if np.median(way) <= _MAX_JUMP_FRACTION * robust_extent(before)[0]:
-                return np.arange(len(before)), self._place
+                return np.arange(len(before)), self._file_rows
         self.by_position += 1
         reach = max(robust_extent(before)[0], 1e-12) / np.sqrt(len(before))
         return mutual_nearest(before, splats.means, float(reach))

@@ -71,17 +71,17 @@ class Base:
         What the effects change was decided with the keyframe, from the whole take.
         """
         try:
-            found = read_settings(self.keyframe.header.settings)
+            own = read_settings(self.keyframe.header.settings)
         except (TypeError, ValueError, UsageError):
             self._refuse("its settings cannot be read")
         expected = asked if effects is None else _without_effects(asked)
-        actual = found if effects is None else _without_effects(found)
+        actual = own if effects is None else _without_effects(own)
         problem = difference_of(_later(actual).as_document(), _later(expected).as_document())
-        if not problem and effects is not None and not _same_choice(found, asked, effects):
+        if not problem and effects is not None and not _same_choice(own, asked, effects):
             problem = f"was begun with other effects than `effects` {effects}"
         if problem:
             self._refuse(f"it {problem}")
-        return found
+        return own
 
     def _refuse(self, problem: str) -> NoReturn:
         raise UsageError(f"`keyframe` {self.keyframe.path}: {problem}; give every part the same input and options")
@@ -132,15 +132,15 @@ def _without_effects(settings: EncodeSettings) -> EncodeSettings:
     return replace(plain, effects=(), detect_per_frame=False, corrections=CorrectionSettings())
 
 
-def _same_choice(found: EncodeSettings, asked: EncodeSettings, effects: EffectChoice) -> bool:
-    """Whether the choice, as far as it says by itself what is enabled, is that of the settings ``found``."""
-    if found.detect_per_frame != (effects.base == AUTO):
+def _same_choice(settings: EncodeSettings, asked: EncodeSettings, effects: EffectChoice) -> bool:
+    """Whether the choice, as far as it says by itself what is enabled, is that of these ``settings``."""
+    if settings.detect_per_frame != (effects.base == AUTO):
         return False
     try:
         fixed = with_effects(asked, effects, (), _undecided)
     except LookupError:
         return True
-    return fixed.effects == found.effects
+    return fixed.effects == settings.effects
 
 
 def _undecided() -> NoReturn:

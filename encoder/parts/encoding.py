@@ -57,9 +57,9 @@ def encode_part(
         encoder.check_header(take.start)
         if base is not None:
             encoder.take_over(base.keyframe, take)
-            there = _size_if_there(output, with_part(base.keyframe.header_payload, part), part)
-            if there is not None and is_current(output.name, ingest.rig, read):
-                return EncodeReport(output.name, [], there, False, len(frames), part=frames)
+            size = _size_if_whole(output, with_part(base.keyframe.header_payload, part), part)
+            if size is not None and is_current(output.name, ingest.rig, read):
+                return EncodeReport(output.name, [], size, False, len(frames), part=frames)
             earlier = Earlier([base.packet], f"`keyframe` {base.keyframe.path}")
         reports: list[FrameReport] = []
         own = range(max(frames.start, take.start + 1), frames.stop)
@@ -85,17 +85,17 @@ def encode_part(
         )
 
 
-def _size_if_there(output: StreamOutput, header: bytes, part: Part) -> int | None:
+def _size_if_whole(output: StreamOutput, header: bytes, part: Part) -> int | None:
     """Bytes of the output if it is this part already, whole; None otherwise."""
     if output.growing is None or not output.name.is_file():
         return None
     try:
         with output.name.open("rb") as file:
-            reader, found = PacketReader(file), 0
+            reader, frame_packets = PacketReader(file), 0
             while (packet := reader.next()) is not None:
                 if packet.kind == PacketKind.HEADER and packet.payload != header:
                     return None
-                found += packet.kind in FRAME_KINDS
+                frame_packets += packet.kind in FRAME_KINDS
     except (OSError, StreamError):
         return None
-    return output.name.stat().st_size if reader.ended and found == part.packets else None
+    return output.name.stat().st_size if reader.ended and frame_packets == part.packets else None

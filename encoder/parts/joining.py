@@ -74,7 +74,7 @@ def join(
         try:
             for file in files:
                 for packet in _own(file):
-                    target.write(packet.kind, file.part.place_in_stream(packet.frame), packet.payload)
+                    target.write(packet.kind, file.part.frame_in_stream(packet.frame), packet.payload)
                     if packet.kind in FRAME_KINDS:
                         done += 1
                         if on_frame is not None:

@@ -50,11 +50,11 @@ class Part:
         """Frame packets of its file: its frames, and the first keyframe if that is none of them."""
         return len(self.frames) + (self.start > 0)
 
-    def place_in_part(self, frame: int) -> int:
+    def frame_in_part(self, frame: int) -> int:
         """Where the whole stream's ``frame`` is in the part's file, which begins with the first keyframe."""
         return frame - max(0, self.start - 1) if frame else 0
 
-    def place_in_stream(self, frame: int) -> int:
+    def frame_in_stream(self, frame: int) -> int:
         """Where the part file's ``frame`` is in the whole stream."""
         return frame + max(0, self.start - 1) if frame else 0
 
@@ -140,8 +140,8 @@ def with_part(header: bytes, part: Part) -> bytes:
         "made_with": dict(part.made_with),
         "metrics": part.metrics,
     }
-    known = StreamHeader.from_bytes(header)
-    return replace(known, settings={**known.settings, _PART_SETTING: document}).to_bytes()
+    parsed = StreamHeader.from_bytes(header)
+    return replace(parsed, settings={**parsed.settings, _PART_SETTING: document}).to_bytes()
 
 
 def without_part(header: StreamHeader) -> StreamHeader:

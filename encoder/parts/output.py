@@ -45,7 +45,7 @@ class PartOutput(StreamOutput):
         self._inner.begin(with_part(header, self._part))
 
     def write(self, kind: int, frame: int, payload: bytes) -> int:
-        return self._inner.write(kind, self._part.place_in_part(frame), payload)
+        return self._inner.write(kind, self._part.frame_in_part(frame), payload)
 
     def open(self) -> StreamWriter:
         return self._inner.open()

@@ -108,12 +108,12 @@ def _wanted_number(kind: type, limits: Any, value: object) -> str:
     return f"a {text}" if limits is None else str(limits.text(text))
 
 
-def _is_name(value: object, known: OneOf | None) -> bool:
-    return isinstance(value, str) and value != "" and (known is None or value in known.names)
+def _is_name(value: object, limits: OneOf | None) -> bool:
+    return isinstance(value, str) and value != "" and (limits is None or value in limits.names)
 
 
-def _listed(known: OneOf | None) -> str:
-    return "" if known is None else f" from {', '.join(known.names)}"
+def _listed(limits: OneOf | None) -> str:
+    return "" if limits is None else f" from {', '.join(limits.names)}"
 
 
 def _printed(value: object) -> str:

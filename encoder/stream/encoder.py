@@ -75,10 +75,10 @@ class StreamEncoder:
         if self._options.read_ahead and self._context.threads > 1:
             read = coming = Ahead(frames)
             self._upcoming = coming.peek if self._context.kernel.leaves_processor_idle else None
-        for place, (frame, following) in enumerate(with_following(read, first, self._context.settings)):
+        for index, (frame, following) in enumerate(with_following(read, first, self._context.settings)):
             packet = next(written, None)
             if packet is not None:
-                yield self._replay(frame, packet, earlier.origin if place in earlier.compared else "")
+                yield self._replay(frame, packet, earlier.origin if index in earlier.compared else "")
             elif self._last is None:
                 yield self._encode_key(frame)
             else:
@@ -156,8 +156,8 @@ class StreamEncoder:
     def _next_segment(self, frames: Sequence[RigFrame], last: Encoded, watch: Stopwatch) -> NextSegment | None:
         """The segment that begins with the last of ``frames``, if it was trained for their fade into it."""
         start = frames[-1].index
-        is_known = self._next is not None and self._next.start == start
-        if len(frames) > 1 and not is_known and not self._context.method.dense:
+        is_trained = self._next is not None and self._next.start == start
+        if len(frames) > 1 and not is_trained and not self._context.method.dense:
             with watch.stage("next segment"):
                 self._next = train_next_segment(self._context, last.scene, last.memory, frames)
         return self._next if self._next is not None and self._next.start == start else None

@@ -71,9 +71,9 @@ class FrameReporter:
             used = self._used(encoded)
             views, pictures = self._context.ingest.views, encoded.pictures.training
             compared = [views[i] for i in used], [pictures[i] for i in used], self._rendered(encoded, used)
-            found = matches(*compared, threads=self._context.threads)
-            self._first_errors = self._first_errors or {match.camera: match.error for match in found}
-            cameras = [m.camera for m in found if m.is_of_other_footage(self._first_errors.get(m.camera, m.error))]
+            errors = matches(*compared, threads=self._context.threads)
+            self._first_errors = self._first_errors or {match.camera: match.error for match in errors}
+            cameras = [m.camera for m in errors if m.is_of_other_footage(self._first_errors.get(m.camera, m.error))]
             if cameras and self._on_warning is not None:
                 self._on_warning(warning_of(origin, encoded.pictures.index, cameras))
 

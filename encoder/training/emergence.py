@@ -20,10 +20,10 @@ from .working_set import WorkingSet
 
 def add_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float = 1.0) -> None:
     """Adds the frame's emerging objects to ``work``, from these ``views`` and a share of the ``rays``."""
-    found = _find_emerging(training, work, views, rays)
-    found = take_splats(found, ~training.is_free(found.means))
-    if len(found):
-        work.append(found)
+    emerging = _find_emerging(training, work, views, rays)
+    emerging = take_splats(emerging, ~training.is_free(emerging.means))
+    if len(emerging):
+        work.append(emerging)
 
 
 def add_emerging_in_time(

@@ -67,7 +67,7 @@ class FrameTraining:
     def steps(self, stage: str) -> Iterator[Step]:
         """Endless steps of a stage; each round draws every used view once, in a new order."""
         order = view_order(len(self.used), self.random)
-        return (Step(stage, number, self.used[place]) for number, place in enumerate(order))
+        return (Step(stage, number, self.used[slot]) for number, slot in enumerate(order))
 
     def gradients(self, step: Step, work: WorkingSet, drawn: Drawable) -> Gradients:
         """Gradients of the values ``drawn`` (M), from the pixels that they cover."""

@@ -126,10 +126,10 @@ def find_seeds(
     step = max(1, -(-sum(map(np.count_nonzero, cores)) // settings.max_rays))
     with side_by_side(threads) as each:
         search = _Search(views, cores, each)
-        found = list(each(search.along_rays, search.rays(step, each)))
-    if not found:
+        seeds = list(each(search.along_rays, search.rays(step, each)))
+    if not seeds:
         return empty_splats(sh_degree)
-    return _splats(_thin(_confirm(_join(found), step), settings.max_seeds), cores, sh_degree)
+    return _splats(_thin(_confirm(_join(seeds), step), settings.max_seeds), cores, sh_degree)
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class _Rays:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Seeds:
     """Points (P, 3) float64, the views of their rays, colours (P, 3), size of a pixel there, disagreement (P,)."""
 
     points: NDArray[np.float64]
@@ -159,7 +159,7 @@ class _Found:
     cost: FloatArray
 
 
-P = TypeVar("P", _Rays, _Found)
+P = TypeVar("P", _Rays, _Seeds)
 
 
 def _join(parts: Sequence[P]) -> P:
@@ -267,18 +267,18 @@ class _Search:
             self._smooth[index].pixels(pixels),
         )
 
-    def along_rays(self, rays: _Rays) -> _Found:
+    def along_rays(self, rays: _Rays) -> _Seeds:
         """At most one seed per ray."""
         surface, count = rays.surface, len(rays.pixels)
         inverse = np.broadcast_to(self._inverse, (count, len(self._inverse)))
         limit = np.where(surface > 0, (1 - _IN_FRONT_SHARE) * surface, np.inf)
-        ray, place = np.nonzero(inverse * limit[:, None] > 1)
-        ray, place = self._inside_hull(rays, ray, place)
+        ray, sample = np.nonzero(inverse * limit[:, None] > 1)
+        ray, sample = self._inside_hull(rays, ray, sample)
         # Between the steps of the coarse search, which are a few pixels in the most distant views.
         ray = np.repeat(ray, 3)
         gap = self._inverse[0] - self._inverse[-1]
         offsets = np.array([-1, 0, 1]) / 3 * gap / max(1, len(self._inverse) - 1)
-        depth = 1 / (self._inverse[place][:, None] + offsets).ravel()
+        depth = 1 / (self._inverse[sample][:, None] + offsets).ravel()
         points = rays.origins[ray] + rays.directions[ray] * depth[:, None]
         (cost,), front = self._disagreements([self._smooth], rays.views[ray], points, [rays.smooth[ray]])
         tolerance = np.float32(_MAX_SPREAD_LEVELS / 255)
@@ -286,15 +286,15 @@ class _Search:
         np.minimum.at(best, ray, np.where(front, cost, np.inf).astype(np.float32))
         explained = np.zeros(count, bool)
         asking = np.flatnonzero((best <= tolerance) & (surface > 0))
-        there = self._disagreement_at_surface(_take(rays, asking))
-        explained[asking] = there <= 2 * best[asking] + tolerance / 4
+        disagreement = self._disagreement_at_surface(_take(rays, asking))
+        explained[asking] = disagreement <= 2 * best[asking] + tolerance / 4
         fits = front & (cost <= np.minimum(best[ray] + _SAME_COST_SHARE * tolerance, tolerance)) & ~explained[ray]
         rows = np.flatnonzero(fits)
         rows = rows[np.lexsort((depth[rows], ray[rows]))]
         rows = rows[np.unique(ray[rows], return_index=True)[1]]  # the foremost of each ray
         ended, depth = _take(rays, ray[rows]), depth[rows]
         pixel = depth / np.array([view.camera.fx for view in self._views])[ended.views]
-        return _Found(ended.origins + ended.directions * depth[:, None], ended.views, ended.colours, pixel, cost[rows])
+        return _Seeds(ended.origins + ended.directions * depth[:, None], ended.views, ended.colours, pixel, cost[rows])
 
     def _disagreement_at_surface(self, rays: _Rays) -> FloatArray:
         """Disagreement (R,) of the views at the rendered surface.
@@ -309,25 +309,25 @@ class _Search:
         reach, depths = rays.directions * rays.surface[:, None], (0.985, 1.0, 1.015)
         points = np.concatenate([rays.origins + nearer * reach for nearer in depths])
         views, smooth, change = (np.concatenate([each] * len(depths)) for each in (rays.views, rays.smooth, changes))
-        there, _ = self._disagreements((self._smooth, self._change), views, points, (smooth, change))
-        return np.asarray(np.minimum(*there).reshape(len(depths), -1).min(axis=0))
+        disagreements, _ = self._disagreements((self._smooth, self._change), views, points, (smooth, change))
+        return np.asarray(np.minimum(*disagreements).reshape(len(depths), -1).min(axis=0))
 
-    def _inside_hull(self, rays: _Rays, ray: IntArray, place: IntArray) -> tuple[IntArray, IntArray]:
+    def _inside_hull(self, rays: _Rays, ray: IntArray, sample: IntArray) -> tuple[IntArray, IntArray]:
         """The samples that lie inside the masks of nearly all other views that see them."""
         allowed = _MAX_NOT_MISSING_SHARE * len(self._views)
         seen = np.ones(len(ray), np.int64)
         misses = np.zeros(len(ray), np.int64)
         for other in _far_first(int(rays.views[0]), len(self._views)):
-            points = rays.origins[ray] + rays.directions[ray] / self._inverse[place][:, None]
+            points = rays.origins[ray] + rays.directions[ray] / self._inverse[sample][:, None]
             flat, *_ = _project(self._views[other], points)
             inside = (flat >= 0) & (rays.views[ray] != other)
             hit = inside & self._wide[other][np.maximum(flat, 0)]
             seen += inside
             misses += inside & ~hit
             keep = misses <= allowed
-            ray, place, seen, misses = ray[keep], place[keep], seen[keep], misses[keep]
+            ray, sample, seen, misses = ray[keep], sample[keep], seen[keep], misses[keep]
         keep = (misses <= _MAX_NOT_MISSING_SHARE * seen) & (seen - misses >= _MIN_MISSING_VIEWS)
-        return ray[keep], place[keep]
+        return ray[keep], sample[keep]
 
     def _disagreements(
         self,
@@ -410,46 +410,46 @@ def _project(
     return np.where(inside, row * camera.width + column, -1), u, v, depth
 
 
-def _confirm(found: _Found, step: int) -> _Found:
+def _confirm(seeds: _Seeds, step: int) -> _Seeds:
     """Points close to the end of another view's ray; every ``step``-th pixel had a ray.
 
     Chance agreements of colour have scattered depths. Close: in one cell of a grid or of the grid shifted by half.
     """
-    if not len(found.points):
-        return found
-    size = _CELL_RAY_SPACINGS * max(1.5, step**0.5) * float(np.median(found.pixel))
-    keep = np.zeros(len(found.views), bool)
+    if not len(seeds.points):
+        return seeds
+    size = _CELL_RAY_SPACINGS * max(1.5, step**0.5) * float(np.median(seeds.pixel))
+    keep = np.zeros(len(seeds.views), bool)
     for shift in (0.0, 0.5):
-        cells = np.floor((found.points - found.points.min(axis=0)) / size + shift).astype(np.int64)
+        cells = np.floor((seeds.points - seeds.points.min(axis=0)) / size + shift).astype(np.int64)
         _, cell = np.unique(cells, axis=0, return_inverse=True)
         cell = cell.reshape(-1)
-        present = np.zeros((int(cell.max()) + 1, int(found.views.max()) + 1), bool)
-        present[cell, found.views] = True
+        present = np.zeros((int(cell.max()) + 1, int(seeds.views.max()) + 1), bool)
+        present[cell, seeds.views] = True
         keep |= present.sum(axis=1)[cell] >= 2
-    return _take(found, np.flatnonzero(keep))
+    return _take(seeds, np.flatnonzero(keep))
 
 
-def _thin(found: _Found, most: int) -> _Found:
+def _thin(seeds: _Seeds, most: int) -> _Seeds:
     """One point, the best agreed on, per cell of a grid as wide as 1.5 pixels; cells grow until ``most`` suffice."""
-    if not len(found.points):
-        return found
-    cell = 1.5 * float(np.median(found.pixel))
-    order = np.argsort(found.cost, kind="stable")
+    if not len(seeds.points):
+        return seeds
+    cell = 1.5 * float(np.median(seeds.pixel))
+    order = np.argsort(seeds.cost, kind="stable")
     while True:
-        cells = np.floor((found.points[order] - found.points.min(axis=0)) / cell).astype(np.int64)
+        cells = np.floor((seeds.points[order] - seeds.points.min(axis=0)) / cell).astype(np.int64)
         _, first = np.unique(cells, axis=0, return_index=True)
         if len(first) <= most:
-            return _take(found, np.sort(order[first]))
+            return _take(seeds, np.sort(order[first]))
         cell *= 1.2
 
 
-def _splats(found: _Found, cores: Sequence[BoolArray], sh_degree: int) -> Splats:
+def _splats(seeds: _Seeds, cores: Sequence[BoolArray], sh_degree: int) -> Splats:
     """Isotropic, half-transparent Gaussians, wide enough to close the gaps between them."""
-    count = len(found.points)
+    count = len(seeds.points)
     if not count:
         return empty_splats(sh_degree)
     # A view shows half of a body's surface. The spacing is in pixels, for seeds that cover all of it.
     area = 2 * sum(map(np.count_nonzero, cores)) / len(cores)
     spacing = float(np.clip(np.sqrt(area / count), 1.5, 6.0))
-    sigmas = _SIGMA_PER_SPACING * spacing * found.pixel
-    return round_splats(found.points, found.colours, sigmas, np.full(count, _SEED_OPACITY), sh_degree)
+    sigmas = _SIGMA_PER_SPACING * spacing * seeds.pixel
+    return round_splats(seeds.points, seeds.colours, sigmas, np.full(count, _SEED_OPACITY), sh_degree)

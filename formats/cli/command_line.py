@@ -57,7 +57,7 @@ class Parser(argparse.ArgumentParser):
         An option that sets a parameter of another name has that as its ``dest``.
         """
         options = _options_by_parameter(self)
-        return _PARAMETER.sub(lambda found: options.get(found[1], found[0]), text)
+        return _PARAMETER.sub(lambda match: options.get(match[1], match[0]), text)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Takes what argparse would not: values with a dash, such as ``--frames -3:``. Refuses what it should not.
@@ -229,9 +229,9 @@ def _memory_is_out(error: Exception) -> bool:
         RuntimeError: "can't start new thread",
         ImportError: "allocate memory|failed to map segment",
     }
-    said = next((words[kind] for kind in words if isinstance(error, kind)), None)
+    cause = next((words[kind] for kind in words if isinstance(error, kind)), None)
     from_opencv = type(error).__module__ == "cv2" and "Insufficient memory" in str(error)
-    return isinstance(error, MemoryError) or from_opencv or (said is not None and bool(re.search(said, str(error))))
+    return isinstance(error, MemoryError) or from_opencv or (cause is not None and bool(re.search(cause, str(error))))
 
 
 class _Ended(BaseException):
@@ -381,9 +381,9 @@ def colour(text: str) -> tuple[float, float, float]:
     try:
         red, green, blue = (float(part) for part in text.split(","))
     except ValueError:
-        known = ", ".join(_COLOURS)
+        names = ", ".join(_COLOURS)
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1, or one of {known}"
+            f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1, or one of {names}"
         ) from None
     return red, green, blue
 
@@ -399,7 +399,7 @@ def printable(text: str) -> str:
 
 
 def _escaped(line: str) -> str:
-    return _DIRECTIONS.sub(lambda found: ascii(found[0])[1:-1], _CONTROL.sub(" ", line))
+    return _DIRECTIONS.sub(lambda match: ascii(match[0])[1:-1], _CONTROL.sub(" ", line))
 
 
 def counted(number: int, thing: str) -> str:

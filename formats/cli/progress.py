@@ -102,14 +102,14 @@ class Lines:
     ) -> None:
         self._stream, self._what, self._unit, self._clock = stream, what, unit, clock
         self._pace = pace or _PACE
-        self._begun = self._said = clock()
+        self._begun = self._written = clock()
         self._tenth = 0
 
     def to(self, done: int, total: int, note: str = "") -> None:
         now = self._clock()
         tenth = 10 * done // total if total else 0
-        if now - self._said >= (self._pace.pause if tenth > self._tenth else self._pace.seconds):
-            self._said, self._tenth = now, tenth
+        if now - self._written >= (self._pace.pause if tenth > self._tenth else self._pace.seconds):
+            self._written, self._tenth = now, tenth
             self.write(self._line(done, total, now - self._begun))
 
     def _line(self, done: int, total: int, elapsed: float) -> str:

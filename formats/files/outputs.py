@@ -90,14 +90,14 @@ class Output:
 
 def files_read(**read: object) -> list[tuple[Path, str]]:
     """Those of the parameters that are files, or open ones that lie on a disk, and what each is called."""
-    found = []
+    files = []
     for name, file in read.items():
         if isinstance(file, (str, os.PathLike)):
-            found.append((Path(file), f"is read, as `{name}`"))
+            files.append((Path(file), f"is read, as `{name}`"))
         elif hasattr(file, "fileno"):
             with suppress(OSError):  # as it lies in memory
-                found.append((Path(f"/dev/fd/{file.fileno()}"), f"is read, as `{name}`"))
-    return found
+                files.append((Path(f"/dev/fd/{file.fileno()}"), f"is read, as `{name}`"))
+    return files
 
 
 def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]]) -> None:
@@ -106,10 +106,10 @@ def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]])
     ``inputs``: each file that is read, and what it is called.
     """
     taken: dict[_Identity, str] = {}
-    there = {identity for output in outputs for _, identity in output.identities if isinstance(identity, tuple)}
+    existing = {identity for output in outputs for _, identity in output.identities if isinstance(identity, tuple)}
     # A rig can have a hundred thousand pictures: they are looked at only where an output is an existing file.
-    for path, called in inputs if there else ():
-        if (read := _identity(path)) in there:
+    for path, called in inputs if existing else ():
+        if (read := _identity(path)) in existing:
             taken.setdefault(read, called)
     for output in outputs:
         identities = output.identities
@@ -181,9 +181,9 @@ def is_device(path: Path) -> bool:
 def is_left_over(part: Path) -> bool:
     """Whether a file that grows is empty and nobody writes it: its process was killed before its first byte."""
     with suppress(OSError), part.open("rb") as file:
-        found = os.fstat(file.fileno())
+        status = os.fstat(file.fileno())
         # One that was made just now may be about to be locked by its maker, whom a lock of ours would turn away.
-        if found.st_size or time.time() - found.st_mtime < _ABOUT_TO_BE_LOCKED:
+        if status.st_size or time.time() - status.st_mtime < _ABOUT_TO_BE_LOCKED:
             return False
         take_lock(file.fileno(), shared=True)
         return True
@@ -411,15 +411,15 @@ def _sync_folder(folder: Path) -> None:
 def _identity(path: Path) -> _Identity:
     """Which file it is: equal for all its names."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return os.path.realpath(path)
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def _identity_of_open(file: BinaryIO) -> _Identity | None:
     try:
-        found = os.fstat(file.fileno())
+        status = os.fstat(file.fileno())
     except (OSError, AttributeError):  # io.UnsupportedOperation is an OSError: it lies in memory.
         return None
-    return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
+    return (status.st_dev, status.st_ino) if stat.S_ISREG(status.st_mode) else None

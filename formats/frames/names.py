@@ -60,13 +60,13 @@ def numbered_files(path: Path) -> list[tuple[int, Path]]:
         names = os.listdir(path.parent)
     except OSError as error:
         raise UsageError(f"{path.parent}: {error.strerror}; give a folder with the files") from error
-    found = sorted((int(match[1]), path.with_name(name)) for name in names if (match := pattern.fullmatch(name)))
-    if not found:
+    files = sorted((int(match[1]), path.with_name(name)) for name in names if (match := pattern.fullmatch(name)))
+    if not files:
         raise UsageError(f"{path}: there is no such file; check the name")
-    for (number, name), (following, _) in itertools.pairwise(found):
+    for (number, name), (following, _) in itertools.pairwise(files):
         if following != number + 1:
             raise UsageError(f"{path}: after {name.name} comes number {following}; give every frame once")
-    return found
+    return files
 
 
 def _width(field: re.Match[str]) -> int:

@@ -19,5 +19,5 @@ def metres_of(unit: str) -> float | None:
 
     None for any other text: "scene units (probably millimetre)" says that nobody knows.
     """
-    said = re.match(r"\s*([a-z]+)(?=\s*$|\s*[(,;])", unit[:100], re.IGNORECASE)
-    return None if said is None else _METRES.get(said[1].lower())
+    match = re.match(r"\s*([a-z]+)(?=\s*$|\s*[(,;])", unit[:100], re.IGNORECASE)
+    return None if match is None else _METRES.get(match[1].lower())

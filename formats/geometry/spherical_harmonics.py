@@ -47,9 +47,9 @@ def sh_rotation(degree: int, rotation: NDArray[np.float64]) -> NDArray[np.float6
     """
     directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    there, here = sh_basis(np, degree, directions), sh_basis(np, degree, directions @ rotation)
+    basis, turned_basis = sh_basis(np, degree, directions), sh_basis(np, degree, directions @ rotation)
     turned = np.zeros(((degree + 1) ** 2,) * 2)
     for band in range(degree + 1):
         block = slice(band**2, (band + 1) ** 2)
-        turned[block, block] = np.linalg.lstsq(there[:, block], here[:, block], rcond=None)[0]
+        turned[block, block] = np.linalg.lstsq(basis[:, block], turned_basis[:, block], rcond=None)[0]
     return np.round(turned, _DIGITS)

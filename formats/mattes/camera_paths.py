@@ -26,7 +26,7 @@ def paths_of_cameras(folder: Path, names: Collection[str], needed: Collection[st
     numbers = {name: _number(name) for name in names}
     counts = Counter(numbers.values())
     cameras = {number: name for name, number in numbers.items() if number is not None and counts[number] == 1}
-    found: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     unread: list[tuple[str, Path]] = []
     for entry in list_folder(folder):
         stem = composed(entry.name if entry.is_dir() else entry.stem)
@@ -36,11 +36,11 @@ def paths_of_cameras(folder: Path, names: Collection[str], needed: Collection[st
         if not entry.is_dir() and entry.suffix.lower() not in PICTURE_SUFFIXES | VIDEO_SUFFIXES:
             unread.append((name, entry))
             continue
-        if name in found:
-            raise RigError(f"{entry}: {found[name].name} is of camera {name}, too; keep one of the two")
-        found[name] = entry
-    refuse_unknown_kinds(entry for name, entry in unread if name in needed and name not in found)
-    return found
+        if name in paths:
+            raise RigError(f"{entry}: {paths[name].name} is of camera {name}, too; keep one of the two")
+        paths[name] = entry
+    refuse_unknown_kinds(entry for name, entry in unread if name in needed and name not in paths)
+    return paths
 
 
 def _number(name: str) -> int | None:

@@ -33,8 +33,8 @@ class _Reading:
 
     def has_most(self, frames: range) -> bool:
         """Whether the first and the last of these frames have a file, and most between them: others were lost."""
-        there = [frame in self.files for frame in frames]
-        return there[0] and there[-1] and 2 * sum(there) > len(there)
+        exist = [frame in self.files for frame in frames]
+        return exist[0] and exist[-1] and 2 * sum(exist) > len(exist)
 
 
 def mattes_of_recording(

@@ -43,8 +43,8 @@ def matte_rig(folder: Path, rig: Rig, names: Collection[str], frames: range) -> 
     """
     folders = _folders_of(folder, rig.cameras, names)
     cameras = [camera for camera in rig.cameras if camera.name in folders]
-    found = [(camera, _opened(folders[camera.name], camera, rig, frames)) for camera in cameras]
-    return replace(_with(rig, found), warnings=tuple(_renumbered(rig, found, frames.start)))
+    mattes = [(camera, _opened(folders[camera.name], camera, rig, frames)) for camera in cameras]
+    return replace(_with(rig, mattes), warnings=tuple(_renumbered(rig, mattes, frames.start)))
 
 
 def stream_matte_rig(folder: Path, cameras: Sequence[Camera], first: int, count: int, frames: range) -> Rig:
@@ -121,8 +121,8 @@ def _is_clear(alpha: Alpha | None) -> bool:
     return alpha is not None and float(alpha.min()) < _OPAQUE
 
 
-def _with(rig: Rig, found: Sequence[tuple[Camera, FrameSource]]) -> Rig:
-    cameras, sources = zip(*found, strict=True)
+def _with(rig: Rig, mattes: Sequence[tuple[Camera, FrameSource]]) -> Rig:
+    cameras, sources = zip(*mattes, strict=True)
     return replace(rig, cameras=cameras, sources=sources, warnings=())
 
 
@@ -187,26 +187,26 @@ def _folders_of(folder: Path, cameras: Sequence[Camera], names: Collection[str])
 
 def _opened(matte_path: Path, camera: Camera, rig: Rig, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the rig's frames, those of ``frames`` sure to be there."""
-    found = _mattes_at(matte_path)
+    files = _mattes_at(matte_path)
     recording, clock = rig.recording(camera.name), rig.timeline.clock(camera.name)
-    if isinstance(found, Path):
-        video = open_video(found)
+    if isinstance(files, Path):
+        video = open_video(files)
         mattes = _MatteVideo(**vars(video))
         if video.frame_count == rig.frame_count:
             return mattes
         if video.frame_count == recording.frame_count:
             return CutSource(mattes, clock.first, clock.step, rig.frame_count)
         raise RigError(
-            f"{found}: {video.frame_count} frames, but the rig has {rig.frame_count}; cut both to the same frames"
+            f"{files}: {video.frame_count} frames, but the rig has {rig.frame_count}; cut both to the same frames"
         )
-    numbered = mattes_of_recording(matte_path, found, recording, clock, rig.frame_count, frames)
+    numbered = mattes_of_recording(matte_path, files, recording, clock, rig.frame_count, frames)
     return _Mattes(matte_path, numbered, camera.width, camera.height)
 
 
-def _renumbered(rig: Rig, found: Sequence[tuple[Camera, FrameSource]], frame: int) -> Iterator[str]:
+def _renumbered(rig: Rig, sources: Sequence[tuple[Camera, FrameSource]], frame: int) -> Iterator[str]:
     """Where the matte of a camera's picture has another number than the picture: what was matched to what."""
     apart = []
-    for camera, mattes in found:
+    for camera, mattes in sources:
         own = rig.sources[rig.cameras.index(camera)]
         if isinstance(mattes, PictureSource) and isinstance(own, PictureSource):
             matte, picture = mattes.files[frame], own.files[frame]
@@ -247,5 +247,7 @@ def _mattes_at(matte_path: Path) -> Path | tuple[Path, ...]:
     if len(videos) == 1:
         return videos[0]
     refuse_unknown_kinds([matte_path, *(matte_path / name for name in _INNER)])
-    there = f"videos, of which none is called pha.mp4 ({', '.join(v.name for v in videos)})" if videos else "no mattes"
-    raise RigError(f"{matte_path}: {there}; give a matte for every frame, such as 0000.png")
+    content = (
+        f"videos, of which none is called pha.mp4 ({', '.join(v.name for v in videos)})" if videos else "no mattes"
+    )
+    raise RigError(f"{matte_path}: {content}; give a matte for every frame, such as 0000.png")

@@ -161,8 +161,8 @@ def _colour_names(path: Path, names: Collection[str]) -> tuple[str, str, str]:
     if "Y" in names and ({"RY", "BY"} & set(names) or {"X", "Z"} <= set(names)):  # Z alone is depth
         raise RigError(f"{path}: luminance/chroma (Y, RY, BY) and XYZ EXR are not read; write it as plain RGB")
     if "Y" not in names:
-        found = ", ".join(repr(name) for name in sorted(names)) or "none"
-        raise RigError(f"{path}: needs channels R, G, B (or Y), but has {found}; write it as plain RGB")
+        listed = ", ".join(repr(name) for name in sorted(names)) or "none"
+        raise RigError(f"{path}: needs channels R, G, B (or Y), but has {listed}; write it as plain RGB")
     return "Y", "Y", "Y"
 
 

@@ -102,9 +102,9 @@ def _png_header(path: Path, data: bytes) -> PictureHeader:
     if data[:8] != PNG_SIGNATURE or data[12:16] != b"IHDR":
         raise damaged(path, "this is not a PNG file")
     width, height = struct.unpack_from(">II", data, 16)
-    said = dict(_png_chunks(data))
-    orientation = Ifd(said[b"eXIf"]).number(_ORIENTATION, 1) if b"eXIf" in said else 1
-    profile, coding = _png_colours(said)
+    chunks = dict(_png_chunks(data))
+    orientation = Ifd(chunks[b"eXIf"]).number(_ORIENTATION, 1) if b"eXIf" in chunks else 1
+    profile, coding = _png_colours(chunks)
     return PictureHeader(width, height, orientation, profile, coding)
 
 
@@ -118,25 +118,25 @@ def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
         at += 12 + length
 
 
-def _png_colours(said: dict[bytes, bytes]) -> tuple[bytes | None, str]:
+def _png_colours(chunks: dict[bytes, bytes]) -> tuple[bytes | None, str]:
     """ICC profile and coding; of several statements the first of PNG's own order counts."""
-    if b"cICP" in said:
-        primaries, transfer = said[b"cICP"][:2]
+    if b"cICP" in chunks:
+        primaries, transfer = chunks[b"cICP"][:2]
         return b"", ", ".join(filter(None, (_TRANSFERS.get(transfer), _PRIMARIES.get(primaries))))
-    if b"iCCP" in said:
+    if b"iCCP" in chunks:
         unpacking = zlib.decompressobj()
         try:
-            profile = unpacking.decompress(said[b"iCCP"].partition(b"\0")[2][1:], MAX_PROFILE)
+            profile = unpacking.decompress(chunks[b"iCCP"].partition(b"\0")[2][1:], MAX_PROFILE)
         except zlib.error:
             return None, ""
         return profile if profile and unpacking.eof else None, ""
-    if b"sRGB" in said:
+    if b"sRGB" in chunks:
         return b"", ""
     coding = []
-    if b"gAMA" in said and abs((gamma := int.from_bytes(said[b"gAMA"], "big")) - _PNG_GAMMA) > 0.02 * _PNG_GAMMA:
+    if b"gAMA" in chunks and abs((gamma := int.from_bytes(chunks[b"gAMA"], "big")) - _PNG_GAMMA) > 0.02 * _PNG_GAMMA:
         coding.append(f"gamma {100_000 / max(gamma, 1):.2g}")
-    if b"cHRM" in said:
-        stated = struct.unpack(">8I", said[b"cHRM"])
+    if b"cHRM" in chunks:
+        stated = struct.unpack(">8I", chunks[b"cHRM"])
         if max(abs(one - other) for one, other in zip(stated, _PNG_PRIMARIES, strict=True)) > 500:
             coding.append("primaries other than sRGB's")
     return b"", ", ".join(coding)

@@ -99,8 +99,8 @@ def picture_facts(path: Path) -> PictureFacts:
     """Size, orientation and warnings; no pixel is decoded, but an EXR's that has alpha. Raises RigError."""
     data = _read_bytes(path)
     header = read_header(path, data)
-    said = exr_warnings(path, data) if path.suffix.lower() == ".exr" else _warnings(header)
-    return PictureFacts(header.width, header.height, header.orientation, tuple(said))
+    warnings = exr_warnings(path, data) if path.suffix.lower() == ".exr" else _warnings(header)
+    return PictureFacts(header.width, header.height, header.orientation, tuple(warnings))
 
 
 def _warnings(header: PictureHeader) -> list[str]:

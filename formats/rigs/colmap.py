@@ -149,8 +149,8 @@ def _check_pairs(folder: Path, model: Path, keys: Mapping[str, str | None], unpo
         )
 
 
-def _more(found: Sequence[object]) -> str:
-    return f" and {len(found) - 1} more" if len(found) > 1 else ""
+def _more(items: Sequence[object]) -> str:
+    return f" and {len(items) - 1} more" if len(items) > 1 else ""
 
 
 def _elsewhere(model: Path) -> str:
@@ -194,7 +194,7 @@ def _frames_below(folder: Path, images: Sequence[PosedImage]) -> dict[str, Path]
     bases = [folder, *(entry for entry in list_folder(folder) if entry.name.lower() in GENERIC_FOLDERS)]
     names = [_parts(image.name) for image in images]
     groups = {tuple(parts[:depth]) for parts in names for depth in range(len(parts))}
-    found: dict[str, Path] = {}
+    frames: dict[str, Path] = {}
     stills: dict[str, Path] = {}
     for group in sorted(groups):
         inside = [as_it_lies(base.joinpath(*group)) for base in bases]
@@ -203,12 +203,12 @@ def _frames_below(folder: Path, images: Sequence[PosedImage]) -> dict[str, Path]
                 continue
             key = "/".join((*group, composed(entry.name if entry.is_dir() else entry.stem)))
             if holds_frames(entry):
-                other = found.setdefault(key, entry)
+                other = frames.setdefault(key, entry)
                 if other is not entry:
                     raise RigError(f"{folder}: both {other} and {entry} hold frames of one camera; move one away")
             elif entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file():
                 stills.setdefault(key, entry)
-    return {**stills, **found}
+    return {**stills, **frames}
 
 
 def _key_of(name: str, frames: Mapping[str, Path]) -> str | None:
@@ -220,9 +220,9 @@ def _key_of(name: str, frames: Mapping[str, Path]) -> str | None:
     *folders, stem = _parts(name)
     spelled = [[*folders, stem], folders, [*folders, _camera_of(stem)]]
     keys = ["/".join(parts[first:]) for parts in spelled for first in range(len(parts))]
-    found = [key for key in keys if key in frames]
-    streams = [key for key in found if not _is_still(frames[key])]
-    return next(iter(streams or found), None)
+    matches = [key for key in keys if key in frames]
+    streams = [key for key in matches if not _is_still(frames[key])]
+    return next(iter(streams or matches), None)
 
 
 def _is_still(path: Path) -> bool:
@@ -490,9 +490,9 @@ def read_images(model: Path) -> list[PosedImage]:
     """The images file's entries, at least one; names have "/" between folders. Raises RigError."""
     binary = model / "images.bin"
     path = binary if binary.is_file() else model / "images.txt"
-    found = _binary_images(path) if path == binary else _text_images(path)
+    posed = _binary_images(path) if path == binary else _text_images(path)
     # Windows writes names with backslashes, macOS accents as signs of their own.
-    images = [replace(image, name=composed(image.name.replace("\\", "/"))) for image in found]
+    images = [replace(image, name=composed(image.name.replace("\\", "/"))) for image in posed]
     if not images:
         raise RigError(f"{model}: the model holds no images; run the reconstruction again")
     for image in images:

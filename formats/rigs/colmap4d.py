@@ -55,7 +55,7 @@ def read_colmap4d(folder: Path, model: Path) -> Rig:
     Where the pictures are not as the model names them, its frames are found as those of other COLMAP models.
     """
     images, times = read_images(model), _times(model, "times", _IMAGE_TIME)
-    if not any(as_it_lies(place / images[0].name).is_file() for place in usual_folders(folder)):
+    if not any(as_it_lies(base / images[0].name).is_file() for base in usual_folders(folder)):
         return read_colmap_rig(folder, model, LAYOUT)
     timed = [_Timed(image, times[image.image_id]) for image in images if image.image_id in times]
     cameras = _by_camera(model, timed)
@@ -128,13 +128,13 @@ def _source(folder: Path, model: Path, group: Sequence[_Timed]) -> FrameSource:
     outside = next((name for name in names if PurePosixPath(name).is_absolute() or ".." in name.split("/")), None)
     if outside is not None:
         raise RigError(f"{model}: image {outside!r} lies outside the rig's folder; name images relative to it")
-    places = usual_folders(folder)
-    place = next((one for one in places if any(as_it_lies(one / name).is_file() for name in names)), folder)
-    files = [as_it_lies(place / name) for name in names]
+    bases = usual_folders(folder)
+    base = next((one for one in bases if any(as_it_lies(one / name).is_file() for name in names)), folder)
+    files = [as_it_lies(base / name) for name in names]
     missing = next((name for name, file in zip(names, files, strict=True) if not file.is_file()), None)
     if missing is not None:
         raise RigError(
-            f"{place / missing}: is missing{other_endings(place / missing)}; put it back or take it out of {model}"
+            f"{base / missing}: is missing{other_endings(base / missing)}; put it back or take it out of {model}"
         )
     return open_listed(files[0], files)
 

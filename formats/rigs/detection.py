@@ -65,8 +65,8 @@ class _Layout:
 
     def files_in(self, folder: Path) -> list[Path]:
         """The calibrations of this kind in a folder, in natural order."""
-        there = {file for pattern in self.patterns for file in folder.glob(pattern) if file.is_file()}
-        return sorted((file for file in there if file.name[0] != "."), key=lambda file: natural_key(str(file)))
+        files = {file for pattern in self.patterns for file in folder.glob(pattern) if file.is_file()}
+        return sorted((file for file in files if file.name[0] != "."), key=lambda file: natural_key(str(file)))
 
 
 _FIRST = (
@@ -90,20 +90,20 @@ OTHERS = (
 
 def reader_at(path: Path) -> Reader:
     """Reads the rig in a folder, or whose calibration file or COLMAP model folder this is. Raises RigError."""
-    found = _calibrations_at(path)
-    if not found:
+    readers = _calibrations_at(path)
+    if not readers:
         refuse_pickles(list_folder(path))
         raise RigError(
             f"{path}: no calibration; looked for {_looked_for()}, but {_contents(path)}: calibrate the cameras, "
             f"with decogs-calibrate {path} -o RIG_DIR or with COLMAP"
         )
-    if len(found) > 1:
-        names = list(found)
+    if len(readers) > 1:
+        names = list(readers)
         raise RigError(
             f"{path}: several calibrations ({', '.join(names)}); give the path of the one to use, "
             f"e.g. {path / names[0]}, or move the others away"
         )
-    (read,) = found.values()
+    (read,) = readers.values()
     return read
 
 
@@ -122,18 +122,18 @@ def _calibrations_at(path: Path) -> dict[str, Reader]:
         return _calibration_file(path)
     if not path.is_dir():
         raise RigError(f"{path}: neither a folder nor a calibration file; give the rig's folder")
-    found = _found(_FIRST, path)
+    readers = _readers_of(_FIRST, path)
     model = colmap.find_model(path)
-    if model is not None and rig_json.CALIBRATION not in found:
-        found[str(model.relative_to(path))] = partial(_read_colmap, colmap.rig_folder_of(model), model)
-    if not found:
-        found = _found(OTHERS, path)
+    if model is not None and rig_json.CALIBRATION not in readers:
+        readers[str(model.relative_to(path))] = partial(_read_colmap, colmap.rig_folder_of(model), model)
+    if not readers:
+        readers = _readers_of(OTHERS, path)
         if frame_folders.frame_folders(path):
-            found["a folder for each frame"] = partial(frame_folders.read_frame_folders, path)
-    return found
+            readers["a folder for each frame"] = partial(frame_folders.read_frame_folders, path)
+    return readers
 
 
-def _found(layouts: Sequence[_Layout], folder: Path) -> dict[str, Reader]:
+def _readers_of(layouts: Sequence[_Layout], folder: Path) -> dict[str, Reader]:
     files = ((layout, file) for layout in layouts for file in layout.files_in(folder))
     return {str(file.relative_to(folder)): partial(layout.read, file) for layout, file in files}
 

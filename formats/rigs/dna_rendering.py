@@ -52,10 +52,10 @@ def _recording(calibration: Path) -> Path:
     """The file with the pictures."""
     name = calibration.name.removesuffix(_ENDING) + ".smc"
     candidates = (calibration.parent / name, calibration.parent.parent / "main" / name)
-    found = next((candidate for candidate in candidates if candidate.is_file()), None)
-    if calibration.name == name or found is None:
+    file = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if calibration.name == name or file is None:
         raise RigError(f"{calibration}: {name} with its pictures is neither beside it nor in ../main; put it there")
-    return found
+    return file
 
 
 @dataclass(frozen=True)

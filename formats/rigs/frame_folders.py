@@ -25,8 +25,8 @@ _NAME = re.compile(r"(?:frame|colmap)_?([0-9]+)")
 def frame_folders(folder: Path) -> list[Path]:
     """The folders of frames, in order; none where the first has no COLMAP model."""
     named = [(entry, _NAME.fullmatch(entry.name)) for entry in list_folder(folder)]
-    found = sorted((int(name[1]), entry) for entry, name in named if name is not None and entry.is_dir())
-    folders = [entry for _, entry in found]
+    numbered = sorted((int(name[1]), entry) for entry, name in named if name is not None and entry.is_dir())
+    folders = [entry for _, entry in numbered]
     return folders if folders and find_model(folders[0]) is not None else []
 
 
@@ -72,15 +72,15 @@ def _check_still(cameras: dict[str, Camera], folder: Path) -> None:
 def _pictures(folder: Path) -> dict[str, Path]:
     """The pictures of one frame by camera."""
     itself, *inside = usual_folders(folder)
-    found = (pictures_in(searched) for searched in (*inside, itself))
-    return {composed(path.stem): path for path in next(filter(None, found), ())}
+    per_folder = (pictures_in(searched) for searched in (*inside, itself))
+    return {composed(path.stem): path for path in next(filter(None, per_folder), ())}
 
 
 def _source(name: str, folders: list[Path], pictures: list[dict[str, Path]]) -> FrameSource:
-    lacking = next((frame for frame, found in zip(folders, pictures, strict=True) if name not in found), None)
+    lacking = next((frame for frame, by_camera in zip(folders, pictures, strict=True) if name not in by_camera), None)
     if lacking is not None:
         beside = (entry for searched in usual_folders(lacking) for entry in list_folder(searched))
         refuse_unknown_kinds(entry for entry in beside if composed(entry.stem) == name)
         raise RigError(f"{lacking}: no picture of camera {name}; give all frames the same cameras")
-    files = [found[name] for found in pictures]
+    files = [by_camera[name] for by_camera in pictures]
     return open_listed(files[0], files)

@@ -13,7 +13,7 @@ from .sources import FrameSource, PictureSource
 
 def with_gaps(sources: Sequence[FrameSource]) -> tuple[FrameSource, ...]:
     """The sources, with as many files as most of the others where files between their first and last are missing."""
-    numbers = {row: found for row, source in enumerate(sources) if (found := _numbers(source))}
+    numbers = {row: own for row, source in enumerate(sources) if (own := _numbers(source))}
     lists = sorted(map(tuple, numbers.values()), key=len, reverse=True)
     usual = max(lists, key=lists.count, default=())
     return tuple(
@@ -26,8 +26,8 @@ def with_gaps(sources: Sequence[FrameSource]) -> tuple[FrameSource, ...]:
 
 def _numbers(source: FrameSource) -> list[int]:
     """The frames' numbers; none where names do not tell them, or by several numbers together."""
-    found = source.frame_numbers() if isinstance(source, PictureSource) else None
-    return [number for (number,) in found] if found and len(found[0]) == 1 else []
+    numbers = source.frame_numbers() if isinstance(source, PictureSource) else None
+    return [number for (number,) in numbers] if numbers and len(numbers[0]) == 1 else []
 
 
 def _filled(source: PictureSource, own: Sequence[int], usual: Sequence[int]) -> PictureSource:

@@ -37,12 +37,12 @@ def child(group: Any, name: str, path: Path) -> Any:
     import h5py
 
     try:
-        found = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+        item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
     except _DAMAGED:
-        found = None
-    if found is None:
+        item = None
+    if item is None:
         raise RigError(f"{path}: {group.name}/{name} is missing or damaged; download the file again")
-    return found
+    return item
 
 
 def values(group: Any, name: str, path: Path, largest: int) -> NDArray[Any]:

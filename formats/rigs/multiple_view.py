@@ -22,5 +22,5 @@ def read_multiple_view(folder: Path, model: Path) -> Rig:
 
 
 def _camera_image(name: str) -> str:
-    found = _IMAGE.fullmatch(name)
-    return f"cam{int(found[1]):02d}{found[2] or ''}" if found else name
+    match = _IMAGE.fullmatch(name)
+    return f"cam{int(match[1]):02d}{match[2] or ''}" if match else name

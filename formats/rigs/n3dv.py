@@ -42,8 +42,8 @@ def read_poses_bounds_rig(folder: Path, layout: str, camera_name: re.Pattern[str
         raise RigError(f"{folder}: no video or picture folder named cam00, cam01 ... (or cam_0 ...); add the frames")
     rows = _read_rows(path)
     if len(rows) != len(entries):
-        there = {entry.stem for entry in entries}
-        refuse_unknown_kinds(entry for entry in _named_as_cameras(folder, camera_name) if entry.stem not in there)
+        stems = {entry.stem for entry in entries}
+        refuse_unknown_kinds(entry for entry in _named_as_cameras(folder, camera_name) if entry.stem not in stems)
         raise RigError(
             f"{path}: {len(rows)} poses, but {len(entries)} cameras with frames ({entries[0].name} to "
             f"{entries[-1].name}{_numbering_gap(entries)}); put the missing camera back or remove its row"

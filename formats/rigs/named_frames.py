@@ -41,8 +41,8 @@ def frames_of_cameras(
     spellings = {name: [composed(one) for one in spelled] for name, spelled in spellings.items()}
     for folder in folders:
         entries = [entry for entry in list_folder(folder) if holds_frames(entry)]
-        found = {name: _entry(name, spelled, entries) for name, spelled in spellings.items()}
-        of = {name: entry for name, entry in found.items() if entry is not None}
+        by_camera = {name: _entry(name, spelled, entries) for name, spelled in spellings.items()}
+        of = {name: entry for name, entry in by_camera.items() if entry is not None}
         if of:
             break
     else:
@@ -114,5 +114,5 @@ def _is_word(word: str, text: str, before: str = "") -> bool:
     return bool(word) and re.search(rf"(?<![A-Za-z0-9]){before}{re.escape(word)}(?![A-Za-z0-9])", text) is not None
 
 
-def _more(found: Sequence[object]) -> str:
-    return f" and {len(found) - 1} more" if len(found) > 1 else ""
+def _more(items: Sequence[object]) -> str:
+    return f" and {len(items) - 1} more" if len(items) > 1 else ""

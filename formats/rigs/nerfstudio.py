@@ -76,8 +76,8 @@ def read_splits(folder: Path) -> Rig:
 
     An entry that is in several of them, as for validation and test, counts once.
     """
-    there = [folder / f"transforms_{split}.json" for split in ("train", "val", "test")]
-    return _read_transforms(folder, SPLITS_LAYOUT, [path for path in there if path.is_file()])
+    splits = [folder / f"transforms_{split}.json" for split in ("train", "val", "test")]
+    return _read_transforms(folder, SPLITS_LAYOUT, [path for path in splits if path.is_file()])
 
 
 def _read_transforms(folder: Path, layout: str, paths: Sequence[Path]) -> Rig:
@@ -114,10 +114,10 @@ def _entry(folder: Path, fields: Fields) -> _Entry:
     path = fields.path("file_path", folder)
     # Blender-style files leave the suffix out.
     spelled = [path, *(path.parent / (path.name + suffix) for suffix in sorted(PICTURE_SUFFIXES))]
-    found = next((candidate for candidate in map(as_it_lies, spelled) if os.path.exists(candidate)), None)
-    if found is None:
+    picture = next((candidate for candidate in map(as_it_lies, spelled) if os.path.exists(candidate)), None)
+    if picture is None:
         raise RigError(f"{fields.where}: {path} is missing{other_endings(path)}; put it back or remove its entry")
-    return _Entry(fields, found, fields.number("time", 0.0))
+    return _Entry(fields, picture, fields.number("time", 0.0))
 
 
 def _masks(group: Sequence[_Entry], folder: Path) -> tuple[Path, ...]:
@@ -198,8 +198,8 @@ def _common_name(group: Sequence[_Entry]) -> str:
 
 
 def _the_only(names: Iterator[str]) -> str:
-    found = set(names)
-    return found.pop() if len(found) == 1 else ""
+    distinct = set(names)
+    return distinct.pop() if len(distinct) == 1 else ""
 
 
 def _check_in_step(path: Path, names: Sequence[str], groups: Sequence[Sequence[_Entry]]) -> None:

@@ -111,13 +111,13 @@ def _frames_in_step(
         for index in frames:
             pending = [pool.submit(reader.next, index) for reader in readers]
             try:
-                found = [future.result() for future in pending]
+                results = [future.result() for future in pending]
             except RecordingEnded:
                 return
             if on_lost is not None:
                 for name, why in dropped_in(rig, index).items():
                     on_lost(index, name, RigError(why))
-            yield index, [reader.given(index, got, on_lost) for reader, got in zip(readers, found, strict=True)]
+            yield index, [reader.given(index, got, on_lost) for reader, got in zip(readers, results, strict=True)]
     finally:
         stop_waiting(source for _, source in chosen)
         # Waits for decoders in flight: a reader must not be closed while its thread runs. Not for the threads to end:
@@ -136,8 +136,8 @@ def read_repeating(source: FrameSource, frames: range) -> Iterator[Picture]:
     with closing(_Reader(source.path.stem, source, frames)) as reader:
         before: Picture | RigError | None = None
         for index in frames:
-            found = reader.next(index)
-            before = before if isinstance(found, RigError) and before is not None else found
+            picture = reader.next(index)
+            before = before if isinstance(picture, RigError) and before is not None else picture
             if isinstance(before, RigError):
                 raise before
             yield before
@@ -167,13 +167,13 @@ class _Reader:
             self._readable = self._source.readable_after(index)
             return error
 
-    def given(self, index: int, found: Picture | RigError, on_lost: OnLost | None) -> Picture:
+    def given(self, index: int, result: Picture | RigError, on_lost: OnLost | None) -> Picture:
         """The picture that was found, or a black one where there is none; raises RigError without ``on_lost``."""
-        if not isinstance(found, RigError):
-            return found
+        if not isinstance(result, RigError):
+            return result
         if on_lost is None:
-            raise found
-        on_lost(index, self._name, found)
+            raise result
+        on_lost(index, self._name, result)
         return np.zeros((self._source.height, self._source.width, 3), np.uint8)
 
     def close(self) -> None:

@@ -48,10 +48,10 @@ class _Element:
     where: str
 
     def inside(self, tag: str) -> _Element:
-        found = self.element.find(tag)
-        if found is None:
+        child = self.element.find(tag)
+        if child is None:
             raise RigError(f"{self.where}: <{tag}> is missing; export the calibration again")
-        return _Element(found, f"{self.where}, <{tag}>")
+        return _Element(child, f"{self.where}, <{tag}>")
 
     def number(self, name: str) -> float:
         try:
@@ -65,16 +65,16 @@ class _Element:
 
 def _video_cameras(path: Path) -> list[_Element]:
     root = parse_xml(path, read_calibration_file(path))
-    found = [
+    cameras = [
         _Element(element, f"{path}, camera {element.get('serial', '')!r}")
         for element in root.findall("cameras/camera")
         if any(kind in element.get("model", "none").lower() for kind in ("video", "none"))
     ]
-    if not found:
+    if not cameras:
         raise RigError(f"{path}: lists no video camera; export the calibration of the video cameras")
-    if len({camera.element.get("serial") for camera in found}) < len(found):
+    if len({camera.element.get("serial") for camera in cameras}) < len(cameras):
         raise RigError(f"{path}: two cameras have one serial; export the calibration again")
-    return found
+    return cameras
 
 
 def _camera(camera: _Element) -> Camera:

@@ -132,8 +132,8 @@ def without_cameras(rig: Rig, names: Collection[str]) -> Rig:
     """
     unknown = sorted(set(names) - {camera.name for camera in rig.cameras})
     if unknown:
-        known = ", ".join(camera.name for camera in rig.cameras)
-        raise UsageError(f"`exclude` {unknown[0]}: {rig.path} has no such camera; its cameras are {known}")
+        names_of_rig = ", ".join(camera.name for camera in rig.cameras)
+        raise UsageError(f"`exclude` {unknown[0]}: {rig.path} has no such camera; its cameras are {names_of_rig}")
     kept = [k for k, camera in enumerate(rig.cameras) if camera.name not in names]
     if not kept:
         raise UsageError(f"`exclude`: no camera of {rig.path} is left; leave at least one")
@@ -147,9 +147,9 @@ def _warnings(sources: Sequence[FrameSource]) -> Iterator[str]:
         yield f"{those[0].path}{more(those)}: {text}"
 
 
-def more(found: Sequence[object]) -> str:
+def more(items: Sequence[object]) -> str:
     """ " and 3 more" than the first, for a message; empty where there is one."""
-    return f" and {len(found) - 1} more" if len(found) > 1 else ""
+    return f" and {len(items) - 1} more" if len(items) > 1 else ""
 
 
 def _check_names(path: Path, names: list[str]) -> None:
@@ -187,11 +187,11 @@ def _with_edges_as_calibrated(camera: Camera, source: VideoSource) -> VideoSourc
         return whole
     if size == (source.width, source.height):
         return source
-    said = (
+    warning = (
         f"is cropped to its clean aperture, {source.width} x {source.height} of {whole.width} x {whole.height} pixels; "
         "if the cameras were calibrated with all of them, state the calibration at that size"
     )
-    return replace(source, warnings=(*source.warnings, said))
+    return replace(source, warnings=(*source.warnings, warning))
 
 
 def _fits(camera: Camera, source: FrameSource, resizable: bool) -> bool:

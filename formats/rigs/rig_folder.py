@@ -36,8 +36,8 @@ def write_rig_folder(rig: Rig, folder: Path, starts: Mapping[str, float]) -> Non
         for camera, source in zip(rig.cameras, rig.sources, strict=True)
     ]
     document: dict[str, Any] = {"pixel_convention": "(0.5,0.5)", "cameras": cameras}
-    said = {"fps": rig.fps, "length_unit": rig.length_unit, "source": rig.source_text, "licence": rig.licence}
-    document |= {key: value for key, value in said.items() if value}
+    facts = {"fps": rig.fps, "length_unit": rig.length_unit, "source": rig.source_text, "licence": rig.licence}
+    document |= {key: value for key, value in facts.items() if value}
     models = [file.parent for file in rig.calibration if file.stem == "cameras" and rig.points is not None]
     if models:
         os.symlink(models[0].resolve(), folder / _MODEL, target_is_directory=True)
@@ -46,7 +46,7 @@ def write_rig_folder(rig: Rig, folder: Path, starts: Mapping[str, float]) -> Non
 
 
 def _camera(camera: Camera, file: str, starts: Mapping[str, float]) -> dict[str, Any]:
-    known = {} if camera.name not in starts else {"start": starts[camera.name]}
+    start = {} if camera.name not in starts else {"start": starts[camera.name]}
     return {
         "name": camera.name,
         "file": file,
@@ -56,7 +56,7 @@ def _camera(camera: Camera, file: str, starts: Mapping[str, float]) -> dict[str,
         "distortion_model": camera.distortion_model,
         "distortion": [float(value) for value in camera.distortion],
         "world_to_camera": camera.world_to_camera.tolist(),
-        **known,
+        **start,
     }
 
 

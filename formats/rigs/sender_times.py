@@ -16,7 +16,7 @@ _SETTLING = 1.0
 _UNTIL_REPORT = 6.0
 """The same where the sender may still tell its clock: RTCP reports come every five seconds at most."""
 _WINDOW = 10.0
-"""Seconds of arrivals of which the least delayed counts."""
+"""Seconds of arrivals; the one with the least delay sets the clock."""
 _RUN_APART = 0.75
 """Frames from where a picture was placed to where the clock puts it, beyond which it is placed anew."""
 _CLOCK_NOT_SET = 5.0

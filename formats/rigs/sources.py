@@ -302,8 +302,8 @@ def refuse_unknown_kinds(entries: Iterable[Path]) -> None:
 def largest_unknown(entries: Iterable[Path]) -> Path | None:
     """The largest of these files, and of those in these folders, of an unknown ending; others are notes beside it."""
     inside = (file for entry in entries for file in [entry, *list_folder(entry), *list_folder(entry / "images")])
-    known = PICTURE_SUFFIXES | VIDEO_SUFFIXES
-    unknown = [file for file in inside if file.suffix and file.suffix.lower() not in known and file.is_file()]
+    suffixes = PICTURE_SUFFIXES | VIDEO_SUFFIXES
+    unknown = [file for file in inside if file.suffix and file.suffix.lower() not in suffixes and file.is_file()]
     return max(unknown, key=lambda file: file.stat().st_size, default=None)
 
 

@@ -44,14 +44,16 @@ def in_step(rig: Rig, starts: Mapping[str, RigTime]) -> Rig:
         return replace(rig, fps=rate, frame_count=count, warnings=(*_odd_rates(rig.sources), *rig.warnings))
     steps = steps_of(rig)
     named = {camera.name: starts.get(camera.name) for camera in rig.cameras}
-    known = [start for start in named.values() if start is not None]
-    if not known:
+    given = [start for start in named.values() if start is not None]
+    if not given:
         raise RigError(f"{rig.path}: the starts name none of its cameras; name {rig.cameras[0].name} and the others")
-    ordinary = known[usual([round(start) for start in known])]
+    ordinary = given[usual([round(start) for start in given])]
     times = [ordinary if start is None else start for start in named.values()]
     span = _common_span(rig, times, steps)
     sources = [_cut(*each, span.count) for each in zip(rig.sources, span.firsts, steps, strict=True)]
-    said = _warnings_of(rig, span, [name for name, start in named.items() if start is None], max(times) - min(times))
+    warnings = _warnings_of(
+        rig, span, [name for name, start in named.items() if start is None], max(times) - min(times)
+    )
     slowest = min((fps for _, fps in with_rates(rig.sources)), default=None)
     clocks = [
         CameraClock(RecordedIndex(first), step, RigTime(rest if abs(rest) > _SAID_REST else 0.0))
@@ -63,7 +65,7 @@ def in_step(rig: Rig, starts: Mapping[str, RigTime]) -> Rig:
         recordings=dict(zip(named, rig.sources, strict=True)),
         fps=slowest if rig.fps is None else rig.fps,
         frame_count=span.count,
-        warnings=(*_odd_rates(sources), *rig.warnings, *said),
+        warnings=(*_odd_rates(sources), *rig.warnings, *warnings),
         timeline=replace(rig.timeline, clocks=dict(zip(named, clocks, strict=True))),
     )
 
@@ -105,7 +107,7 @@ def _common_span(rig: Rig, times: Sequence[float], steps: Sequence[int]) -> _Spa
         return firsts, [time + first / step - opening - phase for time, first, step in ends]
 
     phases = sorted({round(time % 1.0, 6) for time in times})
-    firsts, rests = min((beginning_at(phase) for phase in phases), key=lambda found: float(np.abs(found[1]).sum()))
+    firsts, rests = min((beginning_at(phase) for phase in phases), key=lambda span: float(np.abs(span[1]).sum()))
     left = [
         math.ceil((source.frame_count - first) / step)
         for source, first, step in zip(rig.sources, firsts, steps, strict=True)

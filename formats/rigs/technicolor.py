@@ -50,8 +50,8 @@ def read_technicolor(calibration: Path) -> Rig:
 def _pictures(folder: Path) -> dict[int, list[Path]]:
     """The pictures by camera, in the order of their frames."""
     named = [(path, _PICTURE.fullmatch(path.stem)) for path in pictures_in(folder) or pictures_in(folder / "images")]
-    found = sorted((int(name[2]), int(name[1]), path) for path, name in named if name is not None)
-    return {camera: [path for number, _, path in found if number == camera] for camera in {row[0] for row in found}}
+    files = sorted((int(name[2]), int(name[1]), path) for path, name in named if name is not None)
+    return {camera: [path for number, _, path in files if number == camera] for camera in {row[0] for row in files}}
 
 
 def _rows(path: Path) -> list[NDArray[np.float64]]:

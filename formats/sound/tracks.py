@@ -198,11 +198,11 @@ def _microphones(container: InputContainer) -> list[AudioStream]:
 
     Of other languages are none.
     """
-    known = [track for track in container.streams.audio if track.codec_context is not None]
-    if not known or known[0].codec_context.channels != 1:
-        return known[:1]
-    language = known[0].language
-    alike = [track for track in known if track.codec_context.channels == 1 and track.language == language]
+    decodable = [track for track in container.streams.audio if track.codec_context is not None]
+    if not decodable or decodable[0].codec_context.channels != 1:
+        return decodable[:1]
+    language = decodable[0].language
+    alike = [track for track in decodable if track.codec_context.channels == 1 and track.language == language]
     return alike[:_MOST_MICROPHONES]
 
 
@@ -215,5 +215,5 @@ def _opened_sound(path: Path) -> Iterator[tuple[InputContainer, list[AudioStream
         with open_regular(path) as file, av.open(file, container_options=only, **ANY_TEXT) as container:
             yield container, _microphones(container), Unchanged(file, path)
     except (av.FFmpegError, OSError, ValueError) as error:
-        said = getattr(error, "strerror", None) or str(error)
-        raise UsageError(f"{path}: cannot be read as audio ({said}); choose another file") from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UsageError(f"{path}: cannot be read as audio ({reason}); choose another file") from None

@@ -99,7 +99,7 @@ class SplatFormat(Protocol):
 @cache
 def splat_formats() -> Mapping[str, Callable[..., SplatFormat]]:
     """The formats' classes by the ending of their names, with its dot."""
-    modules = (import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__))
+    modules = (import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__))
     formats = [module.Format for module in modules if hasattr(module, "Format")]
     return {one.suffix: one for one in sorted(formats, key=lambda one: str(one.suffix))}
 

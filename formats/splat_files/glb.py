@@ -93,8 +93,8 @@ class Glb:
         for name, i in document["meshes"][0]["primitives"][0]["attributes"].items():
             view, accessor = document["bufferViews"][i], document["accessors"][i]
             if accessor["componentType"] == _FLOAT:
-                found = np.frombuffer(data, "<f4", view["byteLength"] // 4, start + view["byteOffset"])
-                arrays[name.removeprefix(f"{_EXTENSION}:")] = found.reshape(accessor["count"], -1)
+                floats = np.frombuffer(data, "<f4", view["byteLength"] // 4, start + view["byteOffset"])
+                arrays[name.removeprefix(f"{_EXTENSION}:")] = floats.reshape(accessor["count"], -1)
         coefficients = sum(name.startswith("SH_DEGREE_") for name in arrays)
         names = _sh_names(sh_degree_of(coefficients))
         values = (

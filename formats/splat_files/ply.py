@@ -140,17 +140,17 @@ def _header_lines(data: bytes) -> tuple[list[str], int]:
 
 
 def _byte_order(lines: list[str]) -> str:
-    said = next((line.split() for line in lines if line.startswith("format ")), [])
-    if len(said) > 1 and said[1] == "ascii":
+    statement = next((line.split() for line in lines if line.startswith("format ")), [])
+    if len(statement) > 1 and statement[1] == "ascii":
         raise UsageError("is a .ply in ASCII, which is not read; export it as binary")
-    if len(said) != 3 or said[1] not in _ORDERS:
+    if len(statement) != 3 or statement[1] not in _ORDERS:
         raise UsageError("states no known format of a .ply; export it as binary, little endian")
-    return _ORDERS[said[1]]
+    return _ORDERS[statement[1]]
 
 
 def _elements(lines: list[str], order: str) -> list[_Element]:
     """The elements up to the Gaussians."""
-    found: list[_Element] = []
+    elements: list[_Element] = []
     at = [number for number, line in enumerate(lines) if line.startswith("element ")]
     for first, last in zip(at, [*at, len(lines)][1:], strict=True):
         words = lines[first].split()
@@ -159,10 +159,10 @@ def _elements(lines: list[str], order: str) -> list[_Element]:
         properties = [line.split() for line in lines[first + 1 : last] if line.startswith("property ")]
         if any(name.startswith("packed_") for *_, name in properties):
             raise UsageError("is a compressed .ply, which is not read; export it as a plain one")
-        found.append(_Element(words[1], int(words[2]), _row(words[1], properties, order)))
+        elements.append(_Element(words[1], int(words[2]), _row(words[1], properties, order)))
         if words[1] == "vertex":
             break
-    return found
+    return elements
 
 
 def _row(element: str, properties: list[list[str]], order: str) -> np.dtype[np.void]:

@@ -97,8 +97,8 @@ class Sog:
             base = pixels("sh0")[:count]
             sh = np.array(meta["sh0"]["codebook"])[base[:, None, :3]]
             if "shN" in meta:
-                found, coefficients = meta["shN"], _REST[meta["shN"]["bands"]]
-                palette = np.array(found["codebook"])[pixels("shN")[:, :3]].reshape(-1, coefficients, 3)
+                rest, coefficients = meta["shN"], _REST[meta["shN"]["bands"]]
+                palette = np.array(rest["codebook"])[pixels("shN")[:, :3]].reshape(-1, coefficients, 3)
                 labels = pixels("shN", 1)[:count].astype(np.int64)
                 sh = np.concatenate([sh, palette[labels[:, 0] + 256 * labels[:, 1]]], axis=1)
             arrays = (

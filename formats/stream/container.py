@@ -240,8 +240,8 @@ class PacketReader:
             self._ordinal = None
             self._consume(min(1, len(self._buffer)))
         while True:
-            found = self._buffer.find(SYNC)
-            self._consume(found if found >= 0 else max(0, len(self._buffer) - len(SYNC) + 1))
+            offset = self._buffer.find(SYNC)
+            self._consume(offset if offset >= 0 else max(0, len(self._buffer) - len(SYNC) + 1))
             if len(self._buffer) < PACKET_HEADER_SIZE:
                 if not self._read_on():
                     return None

@@ -40,8 +40,8 @@ class Survey:
     def entry(self, frame: int) -> IndexEntry | None:
         """Where the packet of a frame lies; None when it is lost."""
         index = self._index(frame)
-        found = index < len(self.entries) and self.entries[index].frame == frame
-        return self.entries[index] if found else None
+        exists = index < len(self.entries) and self.entries[index].frame == frame
+        return self.entries[index] if exists else None
 
     def keyframe_before(self, frame: int) -> int | None:
         """The last keyframe before ``frame``, None when there is none."""
@@ -99,16 +99,16 @@ def survey(
     return Survey(entries, frame_count, complete, unfinished_bytes, tuple(damage))
 
 
-def lost_frames_within(found: int) -> int:
-    """How many frames may be missing from a stream of which ``found`` are there."""
-    return min(MAX_LOST_FRAMES, _MIN_LOST + _LOST_FOR_EACH * found)
+def lost_frames_within(intact: int) -> int:
+    """How many frames may be missing from a stream of which ``intact`` frames are there."""
+    return min(MAX_LOST_FRAMES, _MIN_LOST + _LOST_FOR_EACH * intact)
 
 
-def check_lost(frames: int, found: int) -> None:
+def check_lost(frames: int, intact: int) -> None:
     """Raises StreamError "too-large" when so many frames are missing beside those found that a stream is refused."""
-    limit = lost_frames_within(found)
+    limit = lost_frames_within(intact)
     if frames > limit:
-        message = f"{frames} frames are missing, above the limit of {limit} for the {found} that are there"
+        message = f"{frames} frames are missing, above the limit of {limit} for the {intact} that are there"
         raise StreamError(Reason.TOO_LARGE, message)
 
 
@@ -156,19 +156,19 @@ def search(reader: PacketReader, *, max_frames: int) -> Survey:
 
     Raises StreamError when the stream is of another version, above a limit, or damaged in too many places.
     """
-    found = _Search(max_frames)
+    packets = _Search(max_frames)
     while True:
         here, unfinished = next_past_damage(reader), reader.pending
         if here is None:
             here = past_unfinished(reader)
         if here is None:
-            return found.survey(reader.ended, unfinished)
+            return packets.survey(reader.ended, unfinished)
         if isinstance(here, Packet):
-            found.packet(here)
+            packets.packet(here)
         else:
-            found.damage(here)
+            packets.damage(here)
             if reader.ended:
-                return found.survey(complete=True, unfinished_bytes=0)
+                return packets.survey(complete=True, unfinished_bytes=0)
 
 
 class _Search:

@@ -33,10 +33,10 @@ def best_instruction_set() -> str:
     folder = Path(__file__).parents[1] / "colours"
     base = _loaded(kernel_path(folder, "_ycbcr", "base"))
     runs = INSTRUCTION_SETS[: base.decogs_instruction_set() + 1]
-    there = [name for name in runs if kernel_path(folder, "_ycbcr", name).exists()]
-    wanted = os.environ.get("DECOGS_INSTRUCTION_SET", there[-1])
-    if wanted not in there:
-        raise UsageError(f"DECOGS_INSTRUCTION_SET={wanted}: this machine runs {', '.join(there)}, as installed")
+    installed = [name for name in runs if kernel_path(folder, "_ycbcr", name).exists()]
+    wanted = os.environ.get("DECOGS_INSTRUCTION_SET", installed[-1])
+    if wanted not in installed:
+        raise UsageError(f"DECOGS_INSTRUCTION_SET={wanted}: this machine runs {', '.join(installed)}, as installed")
     return wanted
 
 
@@ -60,10 +60,10 @@ def _sizes(library: ctypes.CDLL, count: int) -> list[int]:
     except AttributeError:
         return []
     sizes.restype = ctypes.POINTER(ctypes.c_int64)
-    found: list[int] = []
-    while len(found) <= count and 0 not in found:
-        found.append(sizes()[len(found)])
-    return found
+    native_sizes: list[int] = []
+    while len(native_sizes) <= count and 0 not in native_sizes:
+        native_sizes.append(sizes()[len(native_sizes)])
+    return native_sizes
 
 
 def _loaded(path: Path) -> ctypes.CDLL:

@@ -24,8 +24,8 @@ def processor_count() -> int:
 
     More threads than the quota allows would only be stopped until the period is over. Part of a processor counts whole.
     """
-    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(there, math.ceil(_quota(_CGROUPS, _OWN_CGROUP))))
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(processors, math.ceil(_quota(_CGROUPS, _OWN_CGROUP))))
 
 
 def _quota(cgroups: Path, own: Path) -> float:

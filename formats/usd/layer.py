@@ -139,9 +139,9 @@ def _needed_by_crate(content: mmap.mmap, start: int) -> int:
 
 def _depth(text: memoryview) -> int:
     """How deep brackets of any kind are nested, those in strings and comments included."""
-    found = np.frombuffer(text, np.uint8)
+    characters = np.frombuffer(text, np.uint8)
     change = np.zeros(256, np.int8)
     for opening, closing in ("()", "[]", "{}"):
         change[ord(opening)], change[ord(closing)] = 1, -1
-    steps = change[found]
+    steps = change[characters]
     return int(np.cumsum(steps[steps != 0], dtype=np.int64).max(initial=0))

@@ -68,8 +68,8 @@ def open_recording(path: Path) -> VideoSource:
     for file, chapter in zip(files, chapters[1:], strict=True):
         _check_goes_on(path, first, file, chapter)
     count = sum(chapter.frame_count for chapter in chapters)
-    said = f"goes on in {len(files)} more chapter{'s' if len(files) > 1 else ''}, read as one recording"
-    warnings = (said, *first.warnings)
+    warning = f"goes on in {len(files)} more chapter{'s' if len(files) > 1 else ''}, read as one recording"
+    warnings = (warning, *first.warnings)
     return ChapteredVideo(path, **_size(first), frame_count=count, fps=first.fps, warnings=warnings, chapters=chapters)
 
 
@@ -98,21 +98,21 @@ def _following(path: Path) -> list[Path]:
     names = _chapter_names(real)
     if real.stem.upper() not in names[:1]:
         return []
-    found = [_beside(real, name) for name in names[1:]]
-    last = max((number for number, file in enumerate(found) if file is not None), default=0)
-    for name, file in zip(names[1:], found[:last], strict=False):
+    files = [_beside(real, name) for name in names[1:]]
+    last = max((number for number, file in enumerate(files) if file is not None), default=0)
+    for name, file in zip(names[1:], files[:last], strict=False):
         if file is None:
-            raise RigError(f"{path}: its chapter {name} is missing, but {found[last]} is there; put it back")
-    return [file for file in found if file is not None]
+            raise RigError(f"{path}: its chapter {name} is missing, but {files[last]} is there; put it back")
+    return [file for file in files if file is not None]
 
 
 def _chapter_names(path: Path) -> list[str]:
     """The names, without their ending, that the chapters of a file's recording have, in order; none if it has none."""
     stem = path.stem.upper()
-    if found := _NAME.fullmatch(stem):
-        return [f"{found[1]}{chapter:02d}{found[2]}" for chapter in range(1, 100)]
-    if found := _OLD_NAME.fullmatch(stem):
-        return [f"GOPR{found[1]}", *(f"GP{chapter:02d}{found[1]}" for chapter in range(1, 100))]
+    if match := _NAME.fullmatch(stem):
+        return [f"{match[1]}{chapter:02d}{match[2]}" for chapter in range(1, 100)]
+    if match := _OLD_NAME.fullmatch(stem):
+        return [f"GOPR{match[1]}", *(f"GP{chapter:02d}{match[1]}" for chapter in range(1, 100))]
     return []
 
 

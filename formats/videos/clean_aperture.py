@@ -76,7 +76,7 @@ def _within(file: BinaryIO, span: _Span, parts: _Parts, *kinds: object) -> _Span
     """Where the content of the first part of a kind lies, inside that of another; (kind, n) for one but the first."""
     for kind in kinds:
         kind, number = kind if isinstance(kind, tuple) else (kind, 0)
-        span = next(islice((inner for found, inner in parts(file, span) if found == kind), number, None))
+        span = next(islice((inner for name, inner in parts(file, span) if name == kind), number, None))
     return span
 
 

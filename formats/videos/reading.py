@@ -313,10 +313,12 @@ def pictures_of(path: Path, container: InputContainer) -> VideoStream:
     """The track of pictures, ready to be decoded: the largest, else the default one; never a cover. Raises RigError."""
     covers = Disposition.attached_pic | Disposition.timed_thumbnails
     tracks = [track for track in container.streams.video if not track.disposition & covers]
-    known = [track for track in tracks if track.codec_context is not None]
-    if not known:
+    decodable = [track for track in tracks if track.codec_context is not None]
+    if not decodable:
         raise _not_decoded(path, tracks) if tracks else _no_video(path)
-    stream = max(known, key=lambda track: (track.width * track.height, bool(track.disposition & Disposition.default)))
+    stream = max(
+        decodable, key=lambda track: (track.width * track.height, bool(track.disposition & Disposition.default))
+    )
     context = stream.codec_context
     if context.width < 1 or context.height < 1 or context.width * context.height > MAX_PIXELS:
         raise RigError(
@@ -333,13 +335,13 @@ def _list_packets(path: Path) -> _Listing:
     most = min(path.stat().st_size, _MAX_FRAMES)  # a frame has a byte at least
     with opened_video(path) as (container, stream):
         try:
-            found = []
+            packets = []
             is_cut = False
             for packet in container.demux(stream):
                 if packet.size and not packet.is_discard:
-                    found.append((packet.pts, packet.dts, packet.is_keyframe))
+                    packets.append((packet.pts, packet.dts, packet.is_keyframe))
                     is_cut = packet.is_corrupt
-                if len(found) > most:
+                if len(packets) > most:
                     raise RigError(f"{path}: the video claims more than {most} frames; re-encode the video")
         except av.FFmpegError as error:
             raise _undecodable(path, "its packets", error) from None
@@ -347,17 +349,17 @@ def _list_packets(path: Path) -> _Listing:
             raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
         reorders, is_avi = stream.codec_context.has_b_frames, container.format.name == "avi"
         unit, stated = float(stream.time_base or 0), float(stream.average_rate or stream.guessed_rate or 0)
-    if any(time is None for time, _, _ in found):
-        return _Listing(None, np.zeros(0, np.int64), len(found), unit, stated)
+    if any(time is None for time, _, _ in packets):
+        return _Listing(None, np.zeros(0, np.int64), len(packets), unit, stated)
     # Without times of presentation FFmpeg fills in those of decoding; in AVI a little later ones, and wrong ones where
     # a chunk holds two frames and another one none (XviD's packed bitstream).
-    in_coded_order = reorders and (is_avi or all(shown == decoded for shown, decoded, _ in found))
-    times = np.sort(np.array([time for time, _, _ in found], np.int64))
-    keyframes = np.sort(np.array([time for time, _, is_key in found if is_key], np.int64))
+    in_coded_order = reorders and (is_avi or all(shown == decoded for shown, decoded, _ in packets))
+    times = np.sort(np.array([time for time, _, _ in packets], np.int64))
+    keyframes = np.sort(np.array([time for time, _, is_key in packets if is_key], np.int64))
     usable = times.size == 1 or bool(times.size and np.diff(times).min() > 0)
     dropped = _dropped(times) if usable and is_avi and not in_coded_order else frozenset()
     times = np.sort(np.append(times, np.array(sorted(dropped), np.int64)))
-    return _Listing(times if usable else None, keyframes, len(found), unit, stated, in_coded_order, dropped)
+    return _Listing(times if usable else None, keyframes, len(packets), unit, stated, in_coded_order, dropped)
 
 
 def _dropped(times: NDArray[np.int64]) -> frozenset[int]:
@@ -487,9 +489,9 @@ def _not_decoded(path: Path, tracks: list[VideoStream]) -> RigError:
     return RigError(f"{path}: the codec {names} is not decoded here; re-encode the video (H.264 in mp4)")
 
 
-def _not_opened(path: Path, number: int | None, said: str | None) -> RigError:
+def _not_opened(path: Path, number: int | None, reason: str | None) -> RigError:
     remedy = "allow more, by ulimit -n" if number == errno.EMFILE else "fix its rights"
-    return RigError(f"{path}: cannot be read ({said}); {remedy}")
+    return RigError(f"{path}: cannot be read ({reason}); {remedy}")
 
 
 def _undecodable(path: Path, what: str, error: av.FFmpegError) -> RigError:

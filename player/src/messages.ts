@@ -61,7 +61,7 @@ export interface ExactPicture {
 /** Frames known from `from` on, as columns, since an hour of video has a hundred thousand of them. */
 export interface FrameTable {
   readonly from: number;
-  /** Places in `FRAME_KINDS`. */
+  /** Indices in `FRAME_KINDS`. */
   readonly kinds: Uint8Array;
   readonly bytes: Uint32Array;
 }
@@ -94,7 +94,7 @@ export function textureLines(count: number, texels: number): number {
 export interface SceneUpdate {
   readonly count: number;
   /** The rows that the words are of; null: all, from row 0 on. */
-  readonly part: { readonly places: Uint32Array; readonly count: number } | null;
+  readonly part: { readonly slots: Uint32Array; readonly count: number } | null;
   /** Eight words, two texels, a Gaussian. */
   readonly base: Uint32Array;
   /** Four words a texel; null at degree 0. */

@@ -112,8 +112,8 @@ export interface FrameEntry {
 /**
  * Stored values of all Gaussians (SPEC section 5). Scales, opacities and colours are not activated yet.
  *
- * A Gaussian keeps its place in the arrays for as long as it can: one that is added takes the place of one that was
- * removed. So places are not the rows of SPEC.md, which close up; `order` tells the two apart.
+ * A Gaussian keeps its slot in the arrays for as long as it can: one that is added takes the slot of one that was
+ * removed. So slots are not the rows of SPEC.md, which close up; `order` tells the two apart.
  */
 export interface Gaussians {
   /** Number of Gaussians; arrays may be longer. */
@@ -129,11 +129,11 @@ export interface Gaussians {
   /** count x (shDegree + 1)^2 x 3, spherical harmonics of colour; colour = 0.5 + SH(direction). */
   readonly sh: Float32Array;
   /**
-   * By place, where the decoder keeps it: the frame whose packet last changed or added the Gaussian, that of the
+   * By slot, where the decoder keeps it: the frame whose packet last changed or added the Gaussian, that of the
    * keyframe for those untouched since. So it is right after a seek, too.
    */
   readonly lastChanged?: Int32Array;
-  /** The place of each row, for what must take Gaussians in the stream's order; null where places are rows. */
+  /** The slot of each row, for what must take Gaussians in the stream's order; null where slots are rows. */
   readonly order: Uint32Array | null;
 }
 
@@ -148,7 +148,7 @@ export interface SceneFrame {
   readonly damage: string | null;
   readonly gaussians: Gaussians;
   /**
-   * Places in the arrays whose values may differ from those of the frame that the decoder gave before this one, places
+   * Slots in the arrays whose values may differ from those of the frame that the decoder gave before this one, slots
    * beyond that one's count included, each once; null when all must be taken as changed.
    */
   readonly changedRows: Uint32Array | null;

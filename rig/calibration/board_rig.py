@@ -83,11 +83,11 @@ def _sights(
     lenses: Mapping[int, Lens], views: Mapping[int, Mapping[int, BoardView]], corners: F64
 ) -> dict[int, dict[int, Pose]]:
     """Poses of the board before each camera, by camera and instant."""
-    found: dict[int, dict[int, Pose]] = {}
+    sights: dict[int, dict[int, Pose]] = {}
     for camera, lens in lenses.items():
         poses = {instant: lens.pose(corners[v.numbers], v.pixels - 0.5) for instant, v in views[camera].items()}
-        found[camera] = {instant: pose for instant, pose in poses.items() if pose is not None}
-    return found
+        sights[camera] = {instant: pose for instant, pose in poses.items() if pose is not None}
+    return sights
 
 
 def _links(sights: Mapping[int, Mapping[int, Pose]]) -> tuple[dict[tuple[int, int], tuple[int, Pose]], set[int]]:
@@ -237,10 +237,10 @@ def _normal_equations(
             (("board", instant), by_poses[:, :, :6]),
             (("camera", camera), by_poses[:, :, 6:]),
         ]
-        known = [(places[key], block) for key, block in blocks if key in places]
+        free = [(places[key], block) for key, block in blocks if key in places]
         weight = np.sqrt(_weight(residuals))
-        rows = np.concatenate([place for place, _ in known])
-        derivatives = np.concatenate([block * weight for _, block in known], axis=2)
+        rows = np.concatenate([columns for columns, _ in free])
+        derivatives = np.concatenate([block * weight for _, block in free], axis=2)
         derivatives = derivatives.reshape(-1, len(rows))
         matrix[np.ix_(rows, rows)] += derivatives.T @ derivatives
         gradient[rows] += derivatives.T @ (residuals * weight).ravel()
@@ -255,15 +255,15 @@ def _weight(residuals: F64) -> float:
 def _cost(state: _State, observed: Mapping[tuple[int, int], BoardView], corners: F64) -> float:
     """Sum of Cauchy's losses of the sights; infinite where a lens cannot project."""
     residuals = (_residuals(state, key, view, corners)[0] for key, view in observed.items())
-    squares = np.array([(len(found), (found**2).sum(axis=1).mean()) for found in residuals])
+    squares = np.array([(len(offsets), (offsets**2).sum(axis=1).mean()) for offsets in residuals])
     cost = float((squares[:, 0] * np.log1p(squares[:, 1] / _SIGHT_PIXELS**2)).sum())
     return cost if np.isfinite(cost) else float(np.inf)
 
 
 def _moved(state: _State, places: Places, step: F64) -> _State:
     def pose(kind: str, number: int, old: Pose) -> Pose:
-        place = places.get((kind, number))
-        return old if place is None else (old[0] + step[place[:3]], old[1] + step[place[3:]])
+        columns = places.get((kind, number))
+        return old if columns is None else (old[0] + step[columns[:3]], old[1] + step[columns[3:]])
 
     return replace(
         state,
@@ -283,7 +283,7 @@ def _errors(state: _State, observed: Mapping[tuple[int, int], BoardView], corner
 
 def _sight_errors(state: _State, observed: Mapping[tuple[int, int], BoardView], corners: F64) -> dict[int, F64]:
     """Root mean square residuals of each camera's sights, px."""
-    found: dict[int, list[float]] = {camera: [] for camera in state.poses}
+    by_camera: dict[int, list[float]] = {camera: [] for camera in state.poses}
     for key, view in observed.items():
-        found[key[0]].append(float(np.sqrt((_residuals(state, key, view, corners)[0] ** 2).sum(axis=1).mean())))
-    return {camera: np.array(errors) for camera, errors in found.items()}
+        by_camera[key[0]].append(float(np.sqrt((_residuals(state, key, view, corners)[0] ** 2).sum(axis=1).mean())))
+    return {camera: np.array(errors) for camera, errors in by_camera.items()}

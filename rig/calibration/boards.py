@@ -61,7 +61,7 @@ class Board(Protocol):
         """Places (N, 3) of the inner corners on the board, metres."""
         ...
 
-    def found(self, grey: U8) -> Corners | None:
+    def find_corners(self, grey: U8) -> Corners | None:
         """The corners that a picture (H, W) shows."""
         ...
 
@@ -96,7 +96,7 @@ class Charuco:
         """Places (N, 3) of the inner corners on the board, metres."""
         return np.asarray(self.made().getChessboardCorners(), np.float64)
 
-    def found(self, grey: U8) -> Corners | None:
+    def find_corners(self, grey: U8) -> Corners | None:
         """The corners that a picture (H, W) shows, whichever part of the board is in it."""
         # A detector for each call takes microseconds, and none is shared by threads.
         corners, numbers, _, _ = cv2.aruco.CharucoDetector(self.made()).detectBoard(grey)
@@ -160,7 +160,7 @@ class Chessboard:
         rows, columns = np.mgrid[: self.rows - 1, : self.columns - 1]
         return np.stack([columns.ravel(), rows.ravel(), np.zeros(rows.size)], axis=1) * self.square
 
-    def found(self, grey: U8) -> Corners | None:
+    def find_corners(self, grey: U8) -> Corners | None:
         """The corners that a picture (H, W) shows; counted as seen from the board's front."""
         seen, corners = cv2.findChessboardCorners(grey, (self.columns - 1, self.rows - 1))
         if not seen:
@@ -280,16 +280,16 @@ def _either_way(board: Board, grey: U8) -> BoardView | None:
 
 
 def _view(board: Board, grey: U8, mirrored: bool) -> BoardView | None:
-    found = board.found(np.ascontiguousarray(grey[:, ::-1]) if mirrored else grey)
-    if found is None or len(found[0]) < MIN_CORNERS:
+    corners = board.find_corners(np.ascontiguousarray(grey[:, ::-1]) if mirrored else grey)
+    if corners is None or len(corners[0]) < MIN_CORNERS:
         return None
-    pixels = found[1] + 0.5
+    pixels = corners[1] + 0.5
     if mirrored:
         pixels[:, 0] = grey.shape[1] - pixels[:, 0]
-    return BoardView(found[0], pixels.astype(np.float64), mirrored)
+    return BoardView(corners[0], pixels.astype(np.float64), mirrored)
 
 
 def board_views(pictures: Iterable[U8], find: BoardFinder) -> dict[int, BoardView]:
     """Where one camera sees the board, by the number of the instant."""
-    found = ((number, find(picture)) for number, picture in enumerate(pictures))
-    return {number: view for number, view in found if view is not None}
+    views = ((number, find(picture)) for number, picture in enumerate(pictures))
+    return {number: view for number, view in views if view is not None}

@@ -63,21 +63,21 @@ def lenses_by_board(
     def looked_at(camera: Footage) -> Mapping[int, BoardView]:
         return board_views(pictures_at(camera, instants), find)
 
-    found: list[Mapping[int, BoardView]] = []
-    while not find.is_sure and len(found) < len(footage):  # the first that sees it tells what print it is
-        found.append(looked_at(footage[len(found)]))
-        on_step(len(found), len(footage))
+    seen_boards: list[Mapping[int, BoardView]] = []
+    while not find.is_sure and len(seen_boards) < len(footage):  # the first that sees it tells what print it is
+        seen_boards.append(looked_at(footage[len(seen_boards)]))
+        on_step(len(seen_boards), len(footage))
     if find.board != board:
-        found = []  # of which some may be taken for those of the first pattern
-    for seen in each(looked_at, footage[len(found) :]):
-        found.append(seen)
-        on_step(len(found), len(footage))
-    views = dict(enumerate(found))
+        seen_boards = []  # of which some may be taken for those of the first pattern
+    for seen in each(looked_at, footage[len(seen_boards) :]):
+        seen_boards.append(seen)
+        on_step(len(seen_boards), len(footage))
+    views = dict(enumerate(seen_boards))
     if not any(views.values()):
         some = instants[:: max(1, len(instants) // _UNSEEN)]
         word = board.why_unseen(picture for camera in footage for picture in pictures_at(camera, some))
         raise UsageError(f"`board`: no camera shows it in {len(instants)} frames looked at; {word}")
-    every = [list(seen.values()) for seen in found]
+    every = [list(seen.values()) for seen in seen_boards]
     sizes = [camera.size for camera in footage]
     own = [(lens, "") for lens in given.lenses] if given is not None else each(_own_lens, every, repeat(corners), sizes)
     lenses: dict[int, Lens] = {}
@@ -103,8 +103,8 @@ def _own_lens(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -
     if lens is None or lens.kind == "fisheye":  # of which OpenCV does not tell the deviation
         return lens, ""
     deviation = focal_deviation(views, corners, size)
-    known = f"known to {100 * deviation:.1f} % only" if np.isfinite(deviation) else "not known"
-    doubt = f"its focal length is {known}; show it the board tilted, and all over its picture"
+    certainty = f"known to {100 * deviation:.1f} % only" if np.isfinite(deviation) else "not known"
+    doubt = f"its focal length is {certainty}; show it the board tilted, and all over its picture"
     if deviation > _MAX_FOCAL_DEVIATION:
         return None, doubt
     return lens, doubt if deviation > _NAMED_FOCAL_DEVIATION else ""
@@ -112,10 +112,10 @@ def _own_lens(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -
 
 def _misfits(given: Given, sights: Mapping[int, Sequence[BoardView]], corners: F64) -> dict[int, float]:
     """Focal lengths, px, that fit clearly better than those given."""
-    found = {number: focal_that_fits(given.lenses[number], views, corners) for number, views in sights.items()}
+    fits = {number: focal_that_fits(given.lenses[number], views, corners) for number, views in sights.items()}
     return {
         number: focal
-        for number, (focal, error) in found.items()
+        for number, (focal, error) in fits.items()
         if not given.fits(number, focal)
         and error * _CONTRADICTED < board_error(given.lenses[number], sights[number], corners)
     }
@@ -125,32 +125,32 @@ def place_with_board(
     footage: Sequence[Footage], board: Board, frames: int | None, given: Given | None, each: Each, on_step: OnStep
 ) -> Calibration:
     """Cameras that see the board together, in metres."""
-    found = lenses_by_board(footage, board, frames, given, each, on_step)
-    rig, left_out = _placed_accurately(found.lenses, found.views, board.corners(), footage)
-    reasons = {**found.reasons, **left_out}
+    lenses = lenses_by_board(footage, board, frames, given, each, on_step)
+    rig, left_out = _placed_accurately(lenses.lenses, lenses.views, board.corners(), footage)
+    reasons = {**lenses.reasons, **left_out}
     placed = []
     for number in sorted(rig.poses):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(rig.poses[number][0])[0], rig.poses[number][1]
-        camera = found.lenses[number].camera(footage[number].name, footage[number].size, pose)
+        camera = lenses.lenses[number].camera(footage[number].name, footage[number].size, pose)
         placed.append(Placed(camera, rig.errors[number], footage[number]))
     for number in range(len(footage)):
         if number not in rig.poses and number not in reasons:
-            reasons[number] = _disconnected(found.views[number], number in rig.inconsistent)
+            reasons[number] = _disconnected(lenses.views[number], number in rig.inconsistent)
     names = [one.name for one in footage]
-    doubts = {number: doubt for number, doubt in found.doubts.items() if number in rig.poses}
+    doubts = {number: doubt for number, doubt in lenses.doubts.items() if number in rig.poses}
     for number, off in rig.sights.items():
         share = float((off > MAX_ERROR * footage[number].size[0]).mean())
         if share > _MAX_OFF:
             doubts.setdefault(number, f"{share:.0%} of its sights of the board are off; {_STILL}")
     common = {
-        pair: len(found.views[pair[0]].keys() & found.views[pair[1]].keys())
+        pair: len(lenses.views[pair[0]].keys() & lenses.views[pair[1]].keys())
         for pair in combinations(sorted(rig.poses), 2)
     }
     return Calibration(
         tuple(placed),
         {names[number]: reasons[number] for number in sorted(reasons)},
-        found.way,
+        lenses.way,
         "metre",
         {names[number]: doubt for number, doubt in sorted(doubts.items())},
         {(names[a], names[b]): count for (a, b), count in common.items() if count},

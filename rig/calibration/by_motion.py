@@ -15,7 +15,7 @@ from .features import F64, Features, features_of, matched, sift_extractor
 from .footage import Footage, instants_of, pictures_at
 from .given import CERTAIN, Given
 from .held_out import split
-from .placed import MAX_ERROR, MIN_CAMERAS, Calibration, OnStep, Placed, inaccurate, scaled
+from .placed import MAX_ERROR, MIN_CAMERAS, Calibration, OnStep, Placed, inaccurate, normalise_scale
 from .structure import Mapped, Matched, map_cameras, require_pycolmap
 
 _INSTANTS = 8
@@ -60,11 +60,11 @@ def place_by_motion(
         features.append(own)
         on_step(len(features), total)
     pairs = list(combinations(range(len(footage)), 2))
-    found_matches = each(lambda pair: matched(*(features[number] for number in pair)), pairs)
-    matches = split(features, dict(zip(pairs, found_matches, strict=True)))
+    pair_matches = each(lambda pair: matched(*(features[number] for number in pair)), pairs)
+    matches = split(features, dict(zip(pairs, pair_matches, strict=True)))
     start = Matched([one.name for one in footage], [one.size for one in footage], features, matches, shared, given)
     ways = iter(range(len(footage) + 1, total + 1))
-    mapped, found = believed(start, footage, seed, lambda: on_step(next(ways), total))
+    mapped, calibration = believed(start, footage, seed, lambda: on_step(next(ways), total))
     if given is not None and (misfits := _misfits(given, mapped, start, footage, seed)):
         raise given.contradicted(footage, misfits)
     words = moving_cameras({one.name: own.moving for one, own in zip(footage, features, strict=True)})
@@ -72,12 +72,12 @@ def place_by_motion(
         if own.shifted > _SHIFTED:
             words[one.name] = "its picture shifts in the take; give a part of the take in which it stands still"
     for number, one in enumerate(footage):
-        if found.placed and one.name in found.not_connected:
+        if calibration.placed and one.name in calibration.not_connected:
             pictures = [np.ascontiguousarray(picture[:, ::-1]) for picture in pictures_at(one, instants)]
             others = [*features[:number], *features[number + 1 :]]
             if is_mirrored(features[number], features_of(pictures, sift_extractor()), others):
                 words[one.name] = "fits the others when it is mirrored; turn the video left to right"
-    return _explained(found, words)
+    return _explained(calibration, words)
 
 
 def moving_cameras(moving: Mapping[str, float]) -> dict[str, str]:
@@ -89,15 +89,17 @@ def moving_cameras(moving: Mapping[str, float]) -> dict[str, str]:
 
 def is_mirrored(own: Features, turned: Features, others: Sequence[Features]) -> bool:
     """Whether a camera's features match others' far better from pictures that are turned left to right."""
-    here, there = (sum(len(matched(one.static(), other.static())) for other in others) for one in (own, turned))
-    return there > _MIRRORED * here
+    as_recorded, as_turned = (
+        sum(len(matched(one.static(), other.static())) for other in others) for one in (own, turned)
+    )
+    return as_turned > _MIRRORED * as_recorded
 
 
-def _explained(found: Calibration, words: Mapping[str, str]) -> Calibration:
+def _explained(calibration: Calibration, words: Mapping[str, str]) -> Calibration:
     """With words on cameras, as the reasons of those that are not connected, and as doubts of others."""
-    reasons = {name: words.get(name, reason) for name, reason in found.not_connected.items()}
+    reasons = {name: words.get(name, reason) for name, reason in calibration.not_connected.items()}
     doubts = {name: word for name, word in words.items() if name not in reasons}
-    return replace(found, not_connected=reasons, doubts={**found.doubts, **doubts})
+    return replace(calibration, not_connected=reasons, doubts={**calibration.doubts, **doubts})
 
 
 def _is_consistent(mapped: Mapped) -> bool:
@@ -131,12 +133,12 @@ def believed(
     left_out: dict[str, str] = {}
     while True:
         mapped = map_cameras(start, seed, on_step)
-        found = _judged(mapped, footage)
-        bad = [] if mapped is None else [k for k in mapped.cameras if footage[k].name in found.not_connected]
+        calibration = _accept_cameras(mapped, footage)
+        bad = [] if mapped is None else [k for k in mapped.cameras if footage[k].name in calibration.not_connected]
         if mapped is None or not bad or len(mapped.cameras) <= MIN_CAMERAS or not _is_consistent(mapped):
-            return mapped, replace(found, not_connected={**found.not_connected, **left_out})
+            return mapped, replace(calibration, not_connected={**calibration.not_connected, **left_out})
         worst = max(bad, key=partial(_badness, mapped, footage))
-        left_out[footage[worst].name] = found.not_connected[footage[worst].name]
+        left_out[footage[worst].name] = calibration.not_connected[footage[worst].name]
         start, on_step = start.without(worst), lambda: None
 
 
@@ -151,7 +153,7 @@ def _max_error(one: Footage) -> float:
     return max(MAX_ERROR * one.size[0], _FEATURES_ERROR)
 
 
-def _judged(mapped: Mapped | None, footage: Sequence[Footage]) -> Calibration:
+def _accept_cameras(mapped: Mapped | None, footage: Sequence[Footage]) -> Calibration:
     """What of a reconstruction is to be believed."""
     names = [one.name for one in footage]
     if mapped is None:
@@ -174,7 +176,7 @@ def _judged(mapped: Mapped | None, footage: Sequence[Footage]) -> Calibration:
         elif mapped.focal_errors.get(number, 0) > _MAX_FOCAL_ERROR:
             reasons[number] = doubts[number]
     kept = [number for number in errors if number not in reasons]
-    found = Calibration(
+    calibration = Calibration(
         tuple(Placed(mapped.cameras[number], errors[number], footage[number]) for number in kept),
         {names[number]: reason for number, reason in reasons.items()},
         mapped.way,
@@ -183,7 +185,7 @@ def _judged(mapped: Mapped | None, footage: Sequence[Footage]) -> Calibration:
         {(names[a], names[b]): count for (a, b), count in sorted(_links(mapped).items())},
         _points(mapped),
     )
-    return scaled(found)
+    return normalise_scale(calibration)
 
 
 def _percent(share: float) -> str:

@@ -18,7 +18,17 @@ from .by_board import lenses_by_board, place_with_board
 from .by_motion import place_by_motion
 from .footage import check_copies, open_footage, unequal_lengths, unread_beside
 from .given import given_lenses
-from .placed import MIN_CAMERAS, Calibration, Distance, Edge, OnStep, by_reason, check_named, measured, upright
+from .placed import (
+    MIN_CAMERAS,
+    Calibration,
+    Distance,
+    Edge,
+    OnStep,
+    by_reason,
+    check_named,
+    rotate_up,
+    scale_to_distance,
+)
 from .starts import brought_in_step
 
 
@@ -68,16 +78,17 @@ def calibrate(
     warnings = (*warnings, *unequal_lengths(footage))
     with side_by_side(thread_count(threads)) as each:
         if board is not None:
-            found = place_with_board(footage, board, frames, given, each, on_step)
+            calibration = place_with_board(footage, board, frames, given, each, on_step)
         else:
-            found = place_by_motion(
+            calibration = place_by_motion(
                 footage, frames=frames, seed=seed, shared=shared_intrinsics, given=given, each=each, on_step=on_step
             )
-    if len(found.placed) < MIN_CAMERAS:
+    if len(calibration.placed) < MIN_CAMERAS:
         raise RigError(
-            f"{videos}: only {len(found.placed)} of {len(footage)} cameras can be placed. {_said(found.not_connected)}"
+            f"{videos}: only {len(calibration.placed)} of {len(footage)} cameras can be placed. "
+            f"{_summary(calibration.not_connected)}"
         )
-    placed = upright(found if distance is None else measured(found, distance), up)
+    placed = rotate_up(calibration if distance is None else scale_to_distance(calibration, distance), up)
     return replace(placed, warnings=warnings)
 
 
@@ -96,17 +107,17 @@ def calibrate_lenses(
     """
     footage = open_footage(photos)
     with side_by_side(thread_count(threads)) as each:
-        found = lenses_by_board(footage, board, frames, None, each, on_step)
-    if found.reasons:
-        reasons = {footage[number].name: reason for number, reason in found.reasons.items()}
-        raise RigError(f"{photos}: not every lens can be found. {_said(reasons)}")
+        lenses = lenses_by_board(footage, board, frames, None, each, on_step)
+    if lenses.reasons:
+        reasons = {footage[number].name: reason for number, reason in lenses.reasons.items()}
+        raise RigError(f"{photos}: not every lens can be found. {_summary(reasons)}")
     cameras = {
         number: lens.camera(footage[number].name, footage[number].size, np.eye(4))
-        for number, lens in found.lenses.items()
+        for number, lens in lenses.lenses.items()
     }
-    doubts = {footage[number].name: doubt for number, doubt in found.doubts.items()}
-    return {camera.name: (camera, found.errors[number]) for number, camera in cameras.items()}, doubts, found.way
+    doubts = {footage[number].name: doubt for number, doubt in lenses.doubts.items()}
+    return {camera.name: (camera, lenses.errors[number]) for number, camera in cameras.items()}, doubts, lenses.way
 
 
-def _said(reasons: Mapping[str, str]) -> str:
+def _summary(reasons: Mapping[str, str]) -> str:
     return "; ".join(f"{names}: {reason}" for reason, names in by_reason(reasons).items())

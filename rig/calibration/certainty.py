@@ -59,10 +59,10 @@ def focal_deviations(model: Any, freedom: Freedom, centre: float = _CENTRE) -> d
     sights = {image: _sights(model.images[image], lenses[image], rows, places, freedom) for image in images}
     columns, count = _columns(model, images, {image: sights[image].by_lens.shape[2] for image in images})
     kept = np.setdiff1d(np.arange(count), _gauge(model, images, columns))
-    known = 2 * sum(len(one.points) for one in sights.values()) - 3 * len(places) - len(kept)
-    if known <= 0:
+    freedoms = 2 * sum(len(one.points) for one in sights.values()) - 3 * len(places) - len(kept)
+    if freedoms <= 0:
         return unknown
-    variance = sum(float((one.residuals**2).sum()) for one in sights.values()) / known
+    variance = sum(float((one.residuals**2).sum()) for one in sights.values()) / freedoms
     try:
         normal = _reduced(sights, columns, count, len(places)) / variance
         if freedom == "lens":
@@ -156,11 +156,11 @@ def _off_middle(normal: F64, kept: I64, centres: I64, widths: F64, least: float)
     With the other unknowns solved for, the residuals' gradient by the centres has the variance of their information
     and, where they are off, its square times the deviation's. The likeliest one is taken (empirical Bayes).
     """
-    others, told = np.setdiff1d(kept, centres), np.append(centres, len(normal) - 1)
+    others, remaining = np.setdiff1d(kept, centres), np.append(centres, len(normal) - 1)
     scale = 1 / np.sqrt(np.maximum(normal.diagonal()[others], 1e-30))
-    by_told = normal[np.ix_(others, told)] * scale[:, None]
-    left = normal[np.ix_(told, told)] - by_told.T @ np.linalg.solve(
-        normal[np.ix_(others, others)] * scale * scale[:, None], by_told
+    coupling = normal[np.ix_(others, remaining)] * scale[:, None]
+    left = normal[np.ix_(remaining, remaining)] - coupling.T @ np.linalg.solve(
+        normal[np.ix_(others, others)] * scale * scale[:, None], coupling
     )
     information, directions = np.linalg.eigh(left[:-1, :-1] * widths * widths[:, None])
     information = np.maximum(information, _LEAST_PIVOT * information[-1])  # a turn makes up for what all share

@@ -100,7 +100,7 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
         return
     with staged_files(Path(options.output)) as staging:
         with progress("calibrating", "step", quiet=options.quiet) as on_step:
-            found = calibrate(
+            calibration = calibrate(
                 Path(options.videos_dir),
                 board=board,
                 frames=options.frames,
@@ -113,15 +113,15 @@ def _calibrate(parser: Parser, options: argparse.Namespace) -> None:
                 threads=options.threads,
                 on_step=on_step,
             )
-        write_rig(found, Path(options.output), staging, page_of(found, options.output))
-    for warning in found.warnings:
+        write_rig(calibration, Path(options.output), staging, page_of(calibration, options.output))
+    for warning in calibration.warnings:
         warn_as(parser)(warning)
-    for reason, names in by_reason(found.not_connected).items():
+    for reason, names in by_reason(calibration.not_connected).items():
         warn_as(parser)(f"{names}: not connected: {reason}")
-    for doubt, names in by_reason(found.doubts).items():
+    for doubt, names in by_reason(calibration.doubts).items():
         warn_as(parser)(f"{names}: {doubt}")
-    lines = [_line(one.camera, one.error) for one in found.placed]
-    print_text("\n".join([*lines, f"{len(found.placed)} cameras placed ({found.way})"]))
+    lines = [_line(one.camera, one.error) for one in calibration.placed]
+    print_text("\n".join([*lines, f"{len(calibration.placed)} cameras placed ({calibration.way})"]))
 
 
 def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | None) -> None:
@@ -136,13 +136,13 @@ def _find_lenses(parser: Parser, options: argparse.Namespace, board: Board | Non
             raise UsageError(f"`{name}`: says nothing of lenses alone; leave it away, or `lenses_only`")
     with staged_files(Path(options.output)) as staging:
         with progress("calibrating", "step", quiet=options.quiet) as on_step:
-            found, doubts, way = calibrate_lenses(
+            lenses, doubts, way = calibrate_lenses(
                 Path(options.videos_dir), board, options.frames, threads=options.threads, on_step=on_step
             )
-        write_lenses(found, staging)
+        write_lenses(lenses, staging)
     for doubt, names in by_reason(doubts).items():
         warn_as(parser)(f"{names}: {doubt}")
-    lines = [_line(camera, error) for camera, error in found.values()]
+    lines = [_line(camera, error) for camera, error in lenses.values()]
     print_text("\n".join([*lines, f"{len(lines)} lenses found ({way})"]))
 
 

@@ -77,13 +77,13 @@ def features_of(pictures: Sequence[U8], extractor: Any) -> Features:
     )
     median = np.median(grey, axis=0).astype(np.uint8)
     moving = _moving(grey, median)
-    found = [_sift(median, moving.mean(axis=0) <= 0.5, extractor)]
-    found += [_sift(picture, mask, extractor) for picture, mask in zip(grey, moving, strict=True) if mask.any()]
+    features = [_sift(median, moving.mean(axis=0) <= 0.5, extractor)]
+    features += [_sift(picture, mask, extractor) for picture, mask in zip(grey, moving, strict=True) if mask.any()]
     instants = [STATIC, *np.flatnonzero(moving.any(axis=(1, 2))).tolist()]
     return Features(
-        np.concatenate([pixels for pixels, _ in found]) * [width / size[0], height / size[1]],
-        np.concatenate([descriptors for _, descriptors in found]),
-        np.repeat(instants, [len(pixels) for pixels, _ in found]),
+        np.concatenate([pixels for pixels, _ in features]) * [width / size[0], height / size[1]],
+        np.concatenate([descriptors for _, descriptors in features]),
+        np.repeat(instants, [len(pixels) for pixels, _ in features]),
         float(moving.mean()),
         _shifted(grey),
     )
@@ -111,8 +111,8 @@ def _shifted(grey: U8) -> float:
     size = (_SHIFTS_WIDTH, max(round(height * _SHIFTS_WIDTH / width), 1))
     small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.float32) for picture in grey]
     window = cv2.createHanningWindow(size, cv2.CV_32F)
-    found = [cv2.phaseCorrelate(small[0], picture, window) for picture in small[1:]]
-    return max((math.hypot(*shift) for shift, response in found if response > _SHIFTS_RESPONSE), default=0.0)
+    shifts = [cv2.phaseCorrelate(small[0], picture, window) for picture in small[1:]]
+    return max((math.hypot(*shift) for shift, response in shifts if response > _SHIFTS_RESPONSE), default=0.0)
 
 
 def _sift(grey: U8, mask: NDArray[np.bool_], extractor: Any) -> tuple[F64, NDArray[np.float32]]:
@@ -138,11 +138,11 @@ def sift_extractor() -> Any:
     return pycolmap.FeatureExtractor.create(options)
 
 
-def matched(here: Features, there: Features) -> I64:
+def matched(first: Features, second: Features) -> I64:
     """Rows (M, 2) of two cameras' features that match: each other's best, clearly, of one instant."""
-    found = [np.zeros((0, 2), np.int64)]
-    for instant in np.intersect1d(here.instants, there.instants):
-        rows, columns = np.flatnonzero(here.instants == instant), np.flatnonzero(there.instants == instant)
-        one, other = mutual_matches(here.descriptors[rows], there.descriptors[columns], max_distance=_MAX_DISTANCE)
-        found.append(np.stack([rows[one], columns[other]], axis=1))
-    return np.concatenate(found)
+    parts = [np.zeros((0, 2), np.int64)]
+    for instant in np.intersect1d(first.instants, second.instants):
+        rows, columns = np.flatnonzero(first.instants == instant), np.flatnonzero(second.instants == instant)
+        one, other = mutual_matches(first.descriptors[rows], second.descriptors[columns], max_distance=_MAX_DISTANCE)
+        parts.append(np.stack([rows[one], columns[other]], axis=1))
+    return np.concatenate(parts)

@@ -38,18 +38,18 @@ class Given:
     path: Path
     lenses: tuple[Lens, ...]
 
-    def contradicted(self, footage: Sequence[Footage], found: Mapping[int, float]) -> UsageError:
+    def contradicted(self, footage: Sequence[Footage], focals: Mapping[int, float]) -> UsageError:
         """The error for cameras of which pictures say another focal length, px, by their numbers."""
-        said = []
-        for number, focal in found.items():
-            others = [other for other in found if other != number and self.fits(other, focal)]
+        reasons = []
+        for number, focal in focals.items():
+            others = [other for other in focals if other != number and self.fits(other, focal)]
             like = f", as given for {footage[others[0]].name}: are their videos exchanged?" if others else ""
             name, given = footage[number].name, self.lenses[number].focal[0]
-            said.append(f"{name}: given {given:.1f} px, found {focal:.1f} px{like}")
-        more = f"; and {len(said) - _NAMED} more" if len(said) > _NAMED else ""
+            reasons.append(f"{name}: given {given:.1f} px, found {focal:.1f} px{like}")
+        more = f"; and {len(reasons) - _NAMED} more" if len(reasons) > _NAMED else ""
         return UsageError(
-            f"`intrinsics` {self.path}: pictures contradict focal lengths ({'; '.join(said[:_NAMED])}{more}); correct "
-            "the file, or calibrate without it"
+            f"`intrinsics` {self.path}: pictures contradict focal lengths ({'; '.join(reasons[:_NAMED])}{more}); "
+            "correct the file, or calibrate without it"
         )
 
     def fits(self, number: int, focal: float, deviation: float = 0.0) -> bool:

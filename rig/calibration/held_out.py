@@ -56,11 +56,11 @@ def split(features: Sequence[Features], matches: Mapping[tuple[int, int], I64]) 
     firsts = np.cumsum([0, *(len(camera.pixels) for camera in features)])
     links = [pair + np.array([firsts[a], firsts[b]]) for (a, b), pair in matches.items()]
     tracks = _components(int(firsts[-1]), np.concatenate([*links, np.zeros((0, 2), np.int64)]))
-    found = []
+    pairs = []
     for (a, b), pair in matches.items():
         held = tracks[pair[:, 0] + firsts[a]] % _HELD_OUT == 0
-        found.append(PairMatches(a, b, pair[~held], pair[held]))
-    return tuple(found)
+        pairs.append(PairMatches(a, b, pair[~held], pair[held]))
+    return tuple(pairs)
 
 
 def _components(count: int, links: I64) -> I64:
@@ -83,8 +83,8 @@ def score(cameras: Mapping[int, Camera], features: Sequence[Features], pairs: Se
     distances = [np.zeros(0)]
     for pair in pairs:
         if pair.first in cameras and pair.second in cameras:
-            here, there = rays[pair.first][pair.held_out[:, 0]], rays[pair.second][pair.held_out[:, 1]]
-            distances.append(epipolar_pixels(cameras[pair.first], cameras[pair.second], here, there))
+            first_rays, second_rays = rays[pair.first][pair.held_out[:, 0]], rays[pair.second][pair.held_out[:, 1]]
+            distances.append(epipolar_pixels(cameras[pair.first], cameras[pair.second], first_rays, second_rays))
         else:
             distances.append(np.full(len(pair.held_out), _CAP_PIXELS))
     every = np.minimum(np.concatenate(distances), _CAP_PIXELS)
@@ -99,9 +99,9 @@ def rays_of(camera: Camera, pixels: F64) -> F64:
     return np.stack(ray_slopes(camera, *undistort_pixels(camera, pixels).T), axis=1)
 
 
-def epipolar_pixels(one: Camera, two: Camera, here: F64, there: F64) -> F64:
+def epipolar_pixels(one: Camera, two: Camera, first_rays: F64, second_rays: F64) -> F64:
     """Distances (N,) in pixels of matched rays from their epipolar lines; infinite where a lens has no ray."""
     rotations = one.world_to_camera[:3, :3], two.world_to_camera[:3, :3]
     essential = essential_matrices(*rotations, camera_centre(one) - camera_centre(two))
-    distances = np.abs(sampson_distances(here, there, essential)) * (one.fx + two.fx) / 2
+    distances = np.abs(sampson_distances(first_rays, second_rays, essential)) * (one.fx + two.fx) / 2
     return np.where(np.isfinite(distances), distances, np.inf)

@@ -79,8 +79,8 @@ class Lens:
             rays = cv2.undistortPoints(image, self.matrix, np.array(self.distortion))
         if not np.isfinite(rays).all() or np.abs(rays).max() > 1e3:
             return None
-        found, rotation, translation = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-        if not found:
+        is_solved, rotation, translation = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+        if not is_solved:
             return None
         rotation, translation = cv2.solvePnPRefineLM(points, rays, np.eye(3), None, rotation, translation)
         return np.asarray(rotation, np.float64).ravel(), np.asarray(translation, np.float64).ravel()
@@ -168,8 +168,8 @@ def _board_points(views: Sequence[BoardView], corners: F64) -> tuple[list[F32], 
 
 def _spread(views: Sequence[BoardView]) -> list[BoardView]:
     """At most so many views, evenly over the take."""
-    places = np.linspace(0, len(views) - 1, min(len(views), _MAX_VIEWS)).round().astype(int)
-    return [views[place] for place in places]
+    indices = np.linspace(0, len(views) - 1, min(len(views), _MAX_VIEWS)).round().astype(int)
+    return [views[index] for index in indices]
 
 
 def _fitted(

@@ -94,21 +94,21 @@ def inaccurate(error: float, help_: str) -> str:
     return f"is off by {error:.1f} px; {help_}"
 
 
-def scaled(found: Calibration) -> Calibration:
+def normalise_scale(calibration: Calibration) -> Calibration:
     """With 1 as the mean distance of two cameras."""
-    centres = [camera_centre(placed.camera) for placed in found.placed]
+    centres = [camera_centre(placed.camera) for placed in calibration.placed]
     distances = [float(np.linalg.norm(one - two)) for one, two in combinations(centres, 2)]
-    return _moved(found, np.eye(3), 1 / float(np.mean(distances))) if distances else found
+    return _moved(calibration, np.eye(3), 1 / float(np.mean(distances))) if distances else calibration
 
 
-def measured(found: Calibration, distance: Distance) -> Calibration:
+def scale_to_distance(calibration: Calibration, distance: Distance) -> Calibration:
     """In metres, by a known distance. Raises UsageError where it is not between two placed cameras."""
-    centres = {one.camera.name: camera_centre(one.camera) for one in found.placed}
+    centres = {one.camera.name: camera_centre(one.camera) for one in calibration.placed}
     check_named(distance, centres)
     length = float(np.linalg.norm(centres[distance.first] - centres[distance.second]))
     if length == 0:
         raise UsageError(f"`distance` from {distance.first} to {distance.second}: they stand in one place")
-    return replace(_moved(found, np.eye(3), distance.metres / length), length_unit="metre")
+    return replace(_moved(calibration, np.eye(3), distance.metres / length), length_unit="metre")
 
 
 def check_named(distance: Distance, cameras: Collection[str]) -> None:
@@ -118,10 +118,10 @@ def check_named(distance: Distance, cameras: Collection[str]) -> None:
             raise UsageError(f"`distance` from {name}: there are {', '.join(cameras)}; measure between two of these")
 
 
-def upright(found: Calibration, edge: Edge) -> Calibration:
+def rotate_up(calibration: Calibration, edge: Edge) -> Calibration:
     """Turned so that up is -Y, as in COLMAP's worlds; up is where most pictures have their ``edge``."""
-    up = up_of([_rolled(placed.camera, edge) for placed in found.placed])
-    return _moved(found, turn_between(up, AXES["-Y"]), 1.0)
+    up = up_of([_rolled(placed.camera, edge) for placed in calibration.placed])
+    return _moved(calibration, turn_between(up, AXES["-Y"]), 1.0)
 
 
 def _rolled(camera: Camera, edge: Edge) -> Camera:
@@ -131,9 +131,9 @@ def _rolled(camera: Camera, edge: Edge) -> Camera:
     return replace(camera, world_to_camera=np.linalg.matrix_power(quarter, quarters) @ camera.world_to_camera)
 
 
-def _moved(found: Calibration, rotation: F64, scale: float) -> Calibration:
+def _moved(calibration: Calibration, rotation: F64, scale: float) -> Calibration:
     """In a world that is turned, scaled, and has the middle of the cameras as its origin."""
-    middle = np.mean([camera_centre(placed.camera) for placed in found.placed], axis=0)
+    middle = np.mean([camera_centre(placed.camera) for placed in calibration.placed], axis=0)
 
     def moved(camera: Camera) -> Camera:
         pose = camera.world_to_camera.copy()
@@ -142,7 +142,7 @@ def _moved(found: Calibration, rotation: F64, scale: float) -> Calibration:
         return replace(camera, world_to_camera=pose)
 
     return replace(
-        found,
-        placed=tuple(replace(one, camera=moved(one.camera)) for one in found.placed),
-        points=scale * (found.points - middle) @ rotation.T,
+        calibration,
+        placed=tuple(replace(one, camera=moved(one.camera)) for one in calibration.placed),
+        points=scale * (calibration.points - middle) @ rotation.T,
     )

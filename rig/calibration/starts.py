@@ -29,13 +29,13 @@ def brought_in_step(
     rig = _without_poses(videos, footage)
     warnings: tuple[str, ...] = ()
     if sync == AUTO:
-        found = find_starts_without_poses(rig, threads=threads)
-        starts, warnings = found.starts, found.warnings
+        synchrony = find_starts_without_poses(rig, threads=threads)
+        starts, warnings = synchrony.starts, synchrony.warnings
     else:
         starts = read_starts(Path(sync), rig)
     if not starts:
-        said = "neither timecode nor sound says when its cameras start" if sync == AUTO else f"{sync} states no start"
-        return tuple(footage), (*warnings, f"{videos}: {said}; they are taken to be in step")
+        reason = "neither timecode nor sound says when its cameras start" if sync == AUTO else f"{sync} states no start"
+        return tuple(footage), (*warnings, f"{videos}: {reason}; they are taken to be in step")
     together = in_step(rig, starts)
     cut = [
         replace(one, source=source, start=starts.get(one.name))

@@ -36,7 +36,7 @@ _MAX_ERROR_PIXELS = 2.0
 _MIN_INLIERS = 15
 _MIN_INLIER_SHARE = 0.4
 """Of a pair's matches; wrong pairs, whose features look alike, have a quarter to a half."""
-_KNOWN = 0.02
+_MAX_FOCAL_DEVIATION = 0.02
 """Largest standard deviation of a focal length, as its share, with which a lens counts as determined: few cameras that
 look at one place do not determine a free principal point, and leave 10 % and more."""
 _MIN_ANGLE = 1.5
@@ -111,18 +111,18 @@ def require_pycolmap() -> Any:
 
 def map_cameras(matched: Matched, seed: int, on_step: Callable[[], None]) -> Mapped | None:
     """The best placement found; None where no way places two cameras."""
-    found: list[Mapped] = []
+    candidates: list[Mapped] = []
     for lens in _MAPPED_LENSES[: 1 if matched.given else None]:
         with tempfile.TemporaryDirectory() as folder:
             database = Path(folder) / "database.db"
             _write_database(database, matched, lens, seed)
             for way, run in (("incremental", _incremental), ("global", _global)):
                 models = run(database, Path(folder), seed, matched.given is None)
-                found += [matched.scored(model, f"{way} mapping") for model in models]
+                candidates += [matched.scored(model, f"{way} mapping") for model in models]
                 on_step()
-    if not found:
+    if not candidates:
         return None
-    best = min(found, key=lambda mapped: mapped.score.cost)
+    best = min(candidates, key=lambda mapped: mapped.score.cost)
     return _refined(best, matched) if matched.given is None else _with_lenses_of(matched.given, best, matched)
 
 
@@ -186,11 +186,14 @@ def _refined(mapped: Mapped, matched: Matched) -> Mapped:
     A focal length may be off by what its covariance says, and by what lenses that are as good would make of it.
     """
     held, freed = ([_with_lens(mapped, matched, lens, free) for lens in _LENSES] for free in (False, True))
-    known = [one for one in (*held, *freed) if one.focal_deviation <= _KNOWN] or held[:1]
-    best = known[0]
-    for one in known[1:]:
+    determined = [one for one in (*held, *freed) if one.focal_deviation <= _MAX_FOCAL_DEVIATION] or held[:1]
+    best = determined[0]
+    for one in determined[1:]:
         best = one if one.score.is_clearly_better(best.score) else best
-    possible = [*known, *(one for one in held if _KNOWN < one.focal_deviation <= 2 * _KNOWN)]
+    possible = [
+        *determined,
+        *(one for one in held if _MAX_FOCAL_DEVIATION < one.focal_deviation <= 2 * _MAX_FOCAL_DEVIATION),
+    ]
     as_good = [one.cameras for one in possible if not best.score.is_clearly_better(one.score)]
     errors = {
         number: max([error, *(abs(other[number].fx / best.cameras[number].fx - 1) for other in as_good)])
@@ -217,20 +220,21 @@ def _with_lenses_of(lenses: Given, mapped: Mapped, matched: Matched) -> Mapped:
     _adjust(given, focal=False, bends=False, centre=False)
     _adjust(freed, focal=True, bends=False, centre=False)
     deviations = focal_deviations(freed, "focal")
-    found, free = matched.scored(given, f"{mapped.way}, lenses given"), matched.scored(freed, "")
+    fixed, free = matched.scored(given, f"{mapped.way}, lenses given"), matched.scored(freed, "")
     misfits = {
         number: camera.fx
         for number, camera in free.cameras.items()
         if not lenses.fits(number, camera.fx, deviations[number + 1])
     }
-    return replace(found, misfits=misfits)
+    return replace(fixed, misfits=misfits)
 
 
 def _adjust(model: Any, *, focal: bool, bends: bool, centre: bool) -> None:
     """Bundle adjustment with this of the lenses free, which leaves out what is far off, twice.
 
-    The second time a residual counts by its ratio to the median one. Points that slide along edges have residuals too
-    small to be left out, and agree with one another: with equal weights they bend the focal lengths of few cameras.
+    The second time a residual counts by its ratio to the median one. A feature on an edge matches anywhere along the
+    edge. Its residual is too small to be left out, and neighbours err alike: with equal weights such points bend the
+    focal lengths of few cameras.
     """
     pycolmap = require_pycolmap()
     options = pycolmap.BundleAdjustmentOptions()

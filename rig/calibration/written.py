@@ -26,9 +26,9 @@ def check_folder(folder: Path, intrinsics: str | None, *, lenses_only: bool) -> 
     """
     check_folder_name(folder)
     files = [folder / name for name in (_RIG, CALIBRATION, PAGE)]
-    there = [file for file in files if file.exists()]
-    if there and not _is_own(folder, lenses_only):
-        raise RigError(f"{there[0]}: is not of an earlier decogs-calibrate like this one; name another folder")
+    existing = [file for file in files if file.exists()]
+    if existing and not _is_own(folder, lenses_only):
+        raise RigError(f"{existing[0]}: is not of an earlier decogs-calibrate like this one; name another folder")
     if intrinsics is not None:
         read = Path(intrinsics)
         check_outputs(
@@ -48,15 +48,15 @@ def _is_own(folder: Path, lenses_only: bool) -> bool:
     return has_errors and ("way" in document) != lenses_only
 
 
-def write_rig(found: Calibration, folder: Path, staging: Path, page: str) -> None:
+def write_rig(calibration: Calibration, folder: Path, staging: Path, page: str) -> None:
     """Writes rig.json, with paths relative to ``folder``, calibration.json and the page into ``staging``."""
     document = {
         "pixel_convention": "(0,0)",
-        "cameras": [_camera(one.camera) | _place(one) for one in found.placed],
-        "not_connected": list(found.not_connected),
-        "way": found.way,
+        "cameras": [_camera(one.camera) | _pose_fields(one) for one in calibration.placed],
+        "not_connected": list(calibration.not_connected),
+        "way": calibration.way,
     }
-    _write(staging, {_RIG: _text(_rig(found, folder)), CALIBRATION: _text(document), PAGE: page})
+    _write(staging, {_RIG: _text(_rig(calibration, folder)), CALIBRATION: _text(document), PAGE: page})
 
 
 def write_lenses(cameras: Mapping[str, tuple[Camera, float]], staging: Path) -> None:
@@ -74,7 +74,7 @@ def _text(document: Mapping[str, Any]) -> str:
     return json.dumps(document, indent=1) + "\n"
 
 
-def _rig(found: Calibration, folder: Path) -> dict[str, Any]:
+def _rig(calibration: Calibration, folder: Path) -> dict[str, Any]:
     cameras = [
         {
             "name": one.camera.name,
@@ -90,9 +90,9 @@ def _rig(found: Calibration, folder: Path) -> dict[str, Any]:
             "world_to_camera": one.camera.world_to_camera.tolist(),
         }
         | ({} if one.footage.start is None else {"start": one.footage.start})
-        for one in found.placed
+        for one in calibration.placed
     ]
-    unit = {"length_unit": found.length_unit} if found.length_unit else {}
+    unit = {"length_unit": calibration.length_unit} if calibration.length_unit else {}
     return {"pixel_convention": "(0,0)", **unit, "cameras": cameras}
 
 
@@ -108,7 +108,7 @@ def _camera(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _place(one: Placed) -> dict[str, Any]:
+def _pose_fields(one: Placed) -> dict[str, Any]:
     pose = one.camera.world_to_camera
     return {
         "pose": {"rotation": pose[:3, :3].tolist(), "translation": pose[:3, 3].tolist()},

@@ -82,66 +82,68 @@ class Fault:
         return f"camera {self.camera} {self.looks}; {self.remedy}"
 
 
-def faults_of(found: Findings) -> Iterator[Fault]:
+def faults_of(findings: Findings) -> Iterator[Fault]:
     """What is wrong with a camera, worst first.
 
     One that shows nothing, or not its moment, is judged by nothing else of these; one with a wrong pose by its pictures
     alone.
     """
 
-    left_out = f"or leave it out with --exclude {found.camera}"
+    left_out = f"or leave it out with --exclude {findings.camera}"
 
     def fault(word: str, looks: str, remedy: str) -> Fault:
-        return Fault(word, found.camera, looks, remedy)
+        return Fault(word, findings.camera, looks, remedy)
 
     def missing(word: str, looks: str, frames: Sequence[int], remedy: str) -> Fault:
-        return Fault(word, found.camera, f"{looks} in {frames_text(frames, most=_NAMED_ROWS)}", remedy, frames)
+        return Fault(word, findings.camera, f"{looks} in {frames_text(frames, most=_NAMED_ROWS)}", remedy, frames)
 
-    if found.lost:
-        yield missing(DEAD, "shows nothing", found.lost, f"see to its cable and exposure, {left_out}")
+    if findings.lost:
+        yield missing(DEAD, "shows nothing", findings.lost, f"see to its cable and exposure, {left_out}")
         return
-    if found.noise >= _ONLY_NOISE_LEVELS and not found.matched:
+    if findings.noise >= _ONLY_NOISE_LEVELS and not findings.matched:
         yield fault(
             NOISE,
-            f"shows noise of {found.noise:.0f} levels and nothing that two cameras agree on",
+            f"shows noise of {findings.noise:.0f} levels and nothing that two cameras agree on",
             f"look at its recording, {left_out}",
         )
         return
-    is_blurred = found.sharpness < BLURRED_BELOW
+    is_blurred = findings.sharpness < BLURRED_BELOW
     # What is out of focus has little noise of its own, too.
-    if found.hung and not is_blurred:
-        yield missing(FROZEN, "repeats one picture", found.hung, f"record it again, {left_out}")
-    if found.moving:
+    if findings.hung and not is_blurred:
+        yield missing(FROZEN, "repeats one picture", findings.hung, f"record it again, {left_out}")
+    if findings.moving:
         yield fault(
             MOVING,
             "moves through the scene, which no turn of it explains",
             f"cameras must stand still: fix it, {left_out}",
         )
-    if found.swapped is not None:
-        yield fault(SWAPPED, f"has the pictures of {found.swapped}", "exchange the two files")
-    elif found.misplaced and not is_blurred:  # whose matches are off by more than a sharp camera's
-        yield _misplaced(found, left_out)
-    elif abs(found.late) >= _LATE_FRAMES and not (found.hung or found.moving):
-        yield _late(found)
-    if found.unread:
-        yield missing(DAMAGED, "has no picture", found.unread, found.damage)
-    if found.dropped and not is_blurred:
-        yield missing(DROPPED, "has no picture of its own", found.dropped, "look at its recorder")
+    if findings.swapped is not None:
+        yield fault(SWAPPED, f"has the pictures of {findings.swapped}", "exchange the two files")
+    elif findings.misplaced and not is_blurred:  # whose matches are off by more than a sharp camera's
+        yield _misplaced(findings, left_out)
+    elif abs(findings.late) >= _LATE_FRAMES and not (findings.hung or findings.moving):
+        yield _late(findings)
+    if findings.unread:
+        yield missing(DAMAGED, "has no picture", findings.unread, findings.damage)
+    if findings.dropped and not is_blurred:
+        yield missing(DROPPED, "has no picture of its own", findings.dropped, "look at its recorder")
     if is_blurred:
         yield fault(
             BLURRED,
-            f"is out of focus: its finest details have {found.sharpness:.0%} of the others' strength",
+            f"is out of focus: its finest details have {findings.sharpness:.0%} of the others' strength",
             f"focus it, {left_out}",
         )
-    if found.noise >= max(_NOISY_LEVELS, _NOISY_TIMES * found.usual_noise):
+    if findings.noise >= max(_NOISY_LEVELS, _NOISY_TIMES * findings.usual_noise):
         yield fault(
-            NOISY, f"has noise of {found.noise:.1f} levels, the others {found.usual_noise:.1f}", "give it more light"
+            NOISY,
+            f"has noise of {findings.noise:.1f} levels, the others {findings.usual_noise:.1f}",
+            "give it more light",
         )
-    if abs(found.stops) >= EXPOSED_STOPS:
-        how = "brighter" if found.stops > 0 else "darker"
+    if abs(findings.stops) >= EXPOSED_STOPS:
+        how = "brighter" if findings.stops > 0 else "darker"
         yield fault(
             EXPOSURE,
-            f"is {abs(found.stops):.1f} stops {how} than the others",
+            f"is {abs(findings.stops):.1f} stops {how} than the others",
             "set its exposure as theirs; an encode matches what is not clipped",
         )
 
@@ -153,22 +155,22 @@ def verdict_on(faults: Sequence[Fault]) -> str:
     return USABLE if faults else GOOD
 
 
-def _misplaced(found: Findings, left_out: str) -> Fault:
-    is_turned = math.isfinite(found.turned)
-    how = f"rotated by {found.turned:.1f} degrees" if is_turned else f"misplaced by {found.residual:.1f} pixels"
+def _misplaced(findings: Findings, left_out: str) -> Fault:
+    is_turned = math.isfinite(findings.turned)
+    how = f"rotated by {findings.turned:.1f} degrees" if is_turned else f"misplaced by {findings.residual:.1f} pixels"
     return Fault(
         TURNED if is_turned else MISPLACED,
-        found.camera,
+        findings.camera,
         f"appears {how} against its calibration: its matches do not fit the other cameras' poses",
         f"calibrate it again, {left_out}",
     )
 
 
-def _late(found: Findings) -> Fault:
-    how, frames = "late" if found.late > 0 else "early", f"{abs(found.late):.3g}"
+def _late(findings: Findings) -> Fault:
+    how, frames = "late" if findings.late > 0 else "early", f"{abs(findings.late):.3g}"
     return Fault(
         LATE,
-        found.camera,
+        findings.camera,
         f"appears {frames} frame{'s' if frames != '1' else ''} {how} against the others",
         "find out when each camera started (decogs-sync), or encode with --sync auto",
     )

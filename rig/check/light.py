@@ -132,7 +132,7 @@ def light_at(pictures: U8, pixels: F64) -> F64:
 
     Over all channels, of red over green, of blue over green. NaN next to black or white.
     """
-    found = np.full((len(pictures), len(pixels), 3), np.nan)
+    light = np.full((len(pictures), len(pixels), 3), np.nan)
     height, width = pictures.shape[1:3]
     row, column = (
         np.clip(np.floor(pixels[:, axis]).astype(np.int64) + shift, 0, size - 1)
@@ -144,10 +144,10 @@ def light_at(pictures: U8, pixels: F64) -> F64:
         # Below black, 8 bits go on from white: both ends are one comparison.
         ends = (around - np.uint8(_CLIPPED_LEVELS)) > 255 - 2 * _CLIPPED_LEVELS
         clipped = (ends[..., 0] | ends[..., 1] | ends[..., 2]).mean(axis=0)
-        known = clipped <= _MAX_CLIPPED_SHARE
-        red, green, blue = np.log(_LINEAR.take(around).mean(axis=0)[known]).T
-        found[index, known] = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
-    return found
+        unclipped = clipped <= _MAX_CLIPPED_SHARE
+        red, green, blue = np.log(_LINEAR.take(around).mean(axis=0)[unclipped]).T
+        light[index, unclipped] = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
+    return light
 
 
 def light_overall(pictures: U8) -> F64:
@@ -163,9 +163,9 @@ def light_overall(pictures: U8) -> F64:
     changes = lights - lights[:1]
     medians = np.full((len(changes), 3), np.nan)
     for frame, change in enumerate(changes):
-        known = change[np.isfinite(change).all(axis=1)]
-        if len(known) >= _MIN_CAMERA_POINTS:
-            medians[frame] = np.median(known, axis=0)
+        finite = change[np.isfinite(change).all(axis=1)]
+        if len(finite) >= _MIN_CAMERA_POINTS:
+            medians[frame] = np.median(finite, axis=0)
     return medians
 
 
@@ -179,9 +179,9 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
     gains, shares = np.zeros(shape), np.full(shape, np.nan)
     shares[:, :1] = 0
     for frame in range(1, shape[1]):
-        known = np.isfinite(changes[frame]).all(axis=1)
+        finite = np.isfinite(changes[frame]).all(axis=1)
         gains[:, frame], shares[:, frame], _ = _solved(
-            points.first[known], points.second[known], changes[frame, known], len(lights)
+            points.first[finite], points.second[finite], changes[frame, finite], len(lights)
         )
     shares = _seen_overall(shares, np.stack(overall))
     exposure, balance = np.abs(shares[..., 0]), np.abs(shares[..., 1:3]).max(axis=2)
@@ -197,8 +197,8 @@ def mismatch(points: SharedPoints, lights: Sequence[F64]) -> Mismatch:
     camera's points, and that of pairs of cameras, explains.
     """
     differences = _differences(points, [light[:1] for light in lights])[0]
-    known = np.isfinite(differences).all(axis=1)
-    first, second, differences = points.first[known], points.second[known], differences[known]
+    finite = np.isfinite(differences).all(axis=1)
+    first, second, differences = points.first[finite], points.second[finite], differences[finite]
     gains, shares, errors = _solved(first, second, differences, len(lights))
     errors = np.maximum(errors, _pair_errors(first, second, differences - gains[first] + gains[second], len(lights)))
     return Mismatch(gains, np.where(np.abs(shares) < _MIN_GAIN_ERRORS * errors, 0.0, shares))
@@ -260,15 +260,17 @@ def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F6
     shares, errors = np.full((2, cameras, 3), np.nan)
     for group in _comparable(first, second, cameras):
         inside = np.isin(first, group) & np.isin(second, group)
-        a, b, known = first[inside], second[inside], differences[inside]
+        a, b, own_differences = first[inside], second[inside], differences[inside]
         for column in range(3):
             solved = _least_deviations(
-                np.searchsorted(group, a), np.searchsorted(group, b), known[:, column], len(group)
+                np.searchsorted(group, a), np.searchsorted(group, b), own_differences[:, column], len(group)
             )
             gains[group, column] = solved - np.median(solved)
         for camera in group:
-            here, there = a == camera, b == camera
-            own = np.concatenate([known[here] + gains[b[here]], gains[a[there]] - known[there]])
+            as_first, as_second = a == camera, b == camera
+            own = np.concatenate(
+                [own_differences[as_first] + gains[b[as_first]], gains[a[as_second]] - own_differences[as_second]]
+            )
             shares[camera] = _shared(own)
             deviation = 1.48 * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
             errors[camera] = 1.25 * deviation / math.sqrt(len(own))
@@ -312,8 +314,8 @@ def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:
         if (lower == group).all():
             break
         group = lower
-    found = [np.flatnonzero(kept & (group == number)) for number in np.unique(group[kept])]
-    return [members for members in found if len(members) >= _MIN_GROUP_CAMERAS]
+    groups = [np.flatnonzero(kept & (group == number)) for number in np.unique(group[kept])]
+    return [members for members in groups if len(members) >= _MIN_GROUP_CAMERAS]
 
 
 def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -> F64:

@@ -90,11 +90,11 @@ def join_matches(moments: Sequence[Matches]) -> Matches:
     return Matches(tuple(joined))
 
 
-def epipolar_distances(one: Camera, two: Camera, here: F64, there: F64) -> F64:
+def epipolar_distances(one: Camera, two: Camera, first_rays: F64, second_rays: F64) -> F64:
     """Signed distances (N,), in the first camera's pixels, of matched rays x/z, y/z (N, 2) from epipolar lines."""
     rotations = [camera.world_to_camera[:3, :3] for camera in (one, two)]
     essential = essential_matrices(rotations[0], rotations[1], camera_centre(one) - camera_centre(two))
-    return sampson_distances(here, there, essential) * one.fx
+    return sampson_distances(first_rays, second_rays, essential) * one.fx
 
 
 def essential_matrices(first: F64, second: F64, baselines: F64) -> F64:
@@ -139,8 +139,8 @@ def features_of(camera: Camera, picture: U8, mask: U8 | None = None) -> Features
     rays = rays_of(camera, pixels)
     # Square roots of shares compare better than the descriptors themselves (Arandjelovic and Zisserman, RootSIFT).
     roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
-    known = np.isfinite(rays).all(axis=1)
-    return Features(pixels[known], rays[known], roots[known].astype(np.float32))
+    finite = np.isfinite(rays).all(axis=1)
+    return Features(pixels[finite], rays[finite], roots[finite].astype(np.float32))
 
 
 def rays_of(camera: Camera, pixels: F64) -> F64:
@@ -171,7 +171,14 @@ def neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def matched(first: int, second: int, here: Features, there: Features) -> PairMatches:
+def matched(first: int, second: int, first_features: Features, second_features: Features) -> PairMatches:
     """Matches of two pictures, of the cameras ``first`` and ``second``: mutual ones, clearly better than the next."""
-    rows, columns = mutual_matches(here.descriptors, there.descriptors)
-    return PairMatches(first, second, here.pixels[rows], there.pixels[columns], here.rays[rows], there.rays[columns])
+    rows, columns = mutual_matches(first_features.descriptors, second_features.descriptors)
+    return PairMatches(
+        first,
+        second,
+        first_features.pixels[rows],
+        second_features.pixels[columns],
+        first_features.rays[rows],
+        second_features.rays[columns],
+    )

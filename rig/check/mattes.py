@@ -13,7 +13,7 @@ from decogs.formats.system.callbacks import OnProgress, OnWarning
 from decogs.rig.mattes import Mattes
 from decogs.rig.pictures.ingest import Ingest, RigFrame
 
-_MAX_WORN = 0.006
+_MAX_SCREEN_COLOURED_SHARE = 0.006
 """Share of a subject that has the screen's colour, in the view with most, from which it wears some."""
 _NAMED_ROWS = 3
 """Rows of frames that are named; of more it is said how many there are."""
@@ -27,10 +27,11 @@ def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> str:
     agree = matte_checks.check_mattes(
         places, [view.pinhole for view in ingest.views], first.alpha, [view.recorded for view in ingest.views], warn
     )
-    worn = int(np.argmax(first.worn)) if first.worn else 0
-    if first.worn and first.worn[worn] > _MAX_WORN:
+    shares = first.screen_coloured_shares
+    worst = int(np.argmax(shares)) if shares else 0
+    if shares and shares[worst] > _MAX_SCREEN_COLOURED_SHARE:
         warn(
-            f"{places[worn]}: {first.worn[worn]:.1%} of the subject has the screen's colour, and may be keyed away "
+            f"{places[worst]}: {shares[worst]:.1%} of the subject has the screen's colour, and may be keyed away "
             "elsewhere; dress it otherwise, or bring masks"
         )
     return agree
@@ -49,6 +50,6 @@ def lost_mattes(mattes: Mattes, names: Collection[str], frames: range, on_frame:
             if index not in lost.get(name, ()) and matte_checks.is_white(matte):
                 lose(index, name, RigError("it is white all over; white is subject, black is empty"))
         on_frame(done, len(frames))
-    for name, found in lost.items():
-        where = frames_text(list(found), most=_NAMED_ROWS)
-        yield f"camera {name} has no matte in {where}, and is left out there: {next(iter(found.values()))}"
+    for name, frames_lost in lost.items():
+        where = frames_text(list(frames_lost), most=_NAMED_ROWS)
+        yield f"camera {name} has no matte in {where}, and is left out there: {next(iter(frames_lost.values()))}"

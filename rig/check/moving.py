@@ -41,10 +41,10 @@ def moves_through(camera: Camera, pictures: U8, path: CameraPath) -> bool:
 
 def _turn_fits(camera: Camera, first: U8, now: U8) -> float:
     """The share of corners that fit the turn that most fit; 1 where too few are found to tell."""
-    here, there = find_again(first, now)
-    if len(here) < _MIN_CORNERS:
+    before, after = find_again(first, now)
+    if len(before) < _MIN_CORNERS:
         return 1.0
-    were, are = (_directions(camera, pixels) for pixels in (here, there))
+    were, are = (_directions(camera, pixels) for pixels in (before, after))
     turn, reach = np.eye(3), _FIRST_REACH
     for _ in range(_ROUNDS):
         x, y, z = (were @ turn.T).T

@@ -65,8 +65,8 @@ def judge_poses(cameras: Sequence[Camera], matches: Matches) -> Poses:
     residuals, turned = epipolar_residuals(cameras, matches), turns(cameras, matches, wrong)
     for row in wrong:
         turned[row] = by_lines[row] if math.isnan(turned[row]) else turned[row]
-    known = residuals[np.isfinite(residuals)]
-    usual = float(np.median(known)) if len(known) else math.nan
+    finite = residuals[np.isfinite(residuals)]
+    usual = float(np.median(finite)) if len(finite) else math.nan
     misplaced = np.array([is_turned(camera, turn) for camera, turn in zip(cameras, turned, strict=True)])
     for row in suspects:
         misplaced[row] |= residuals[row] >= max(_MISPLACED_PIXELS, _MISPLACED_RATIO * usual)
@@ -84,13 +84,13 @@ def suspected(cameras: Sequence[Camera], matches: Matches) -> list[int]:
 
 def connections(cameras: Sequence[Camera], matches: Matches) -> list[dict[int, int]]:
     """Of each camera the others that it shares surfaces with, and how many of their matches lie on the lines."""
-    found: list[dict[int, int]] = [{} for _ in cameras]
+    counts: list[dict[int, int]] = [{} for _ in cameras]
     for pair in matches.pairs:
         distances = np.abs(pair.epipolar_distances(cameras))
         count = int((distances < ON_LINE_PIXELS).sum())
         if count >= max(_MIN_CONNECTED, _MIN_CONNECTED_SHARE * len(distances)):
-            found[pair.first][pair.second] = found[pair.second][pair.first] = count
-    return found
+            counts[pair.first][pair.second] = counts[pair.second][pair.first] = count
+    return counts
 
 
 def find_swaps(
@@ -116,14 +116,14 @@ def _exchanged(
 ) -> Matches:
     """The matches if the pictures of two cameras are exchanged."""
     pairs = [pair for pair in neighbouring(cameras) if set(pair) & set(swap)]
-    found = []
+    exchanged = []
     for seen in features:
         of = dict(enumerate(seen))
         for row, other in (swap, swap[::-1]):
             of[row] = seen[other].through(cameras[row])
-        found.append(Matches(tuple(matched(a, b, of[a], of[b]) for a, b in pairs)))
+        exchanged.append(Matches(tuple(matched(a, b, of[a], of[b]) for a, b in pairs)))
     others = tuple(pair for pair in matches.pairs if not {pair.first, pair.second} & set(swap))
-    return Matches(others + join_matches(found).pairs)
+    return Matches(others + join_matches(exchanged).pairs)
 
 
 def _fit_better(cameras: Sequence[Camera], given: Matches, exchanged: Matches, swap: tuple[int, int]) -> bool:

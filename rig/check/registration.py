@@ -80,17 +80,17 @@ def find_again(first: U8, now: U8) -> tuple[F64, F64]:
     corners = _corners(shown)
     if not len(corners):
         return np.empty((0, 2)), np.empty((0, 2))
-    found, status, _ = cv2.calcOpticalFlowPyrLK(
+    tracked, status, _ = cv2.calcOpticalFlowPyrLK(
         shown, _normalise(now), corners, None, winSize=_TRACKED_WINDOW_PIXELS, maxLevel=3, criteria=_SEARCH_CRITERIA
     )  # type: ignore[call-overload]
     kept = status.ravel() == 1
-    here, there = (each[kept, 0].astype(np.float64) + 0.5 for each in (corners, found))
-    return here, there
+    before, after = (each[kept, 0].astype(np.float64) + 0.5 for each in (corners, tracked))
+    return before, after
 
 
 def _track(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
     """The similarity (2, 3) from the first picture to another, and its displacement."""
-    found, status, _ = cv2.calcOpticalFlowPyrLK(
+    tracked, status, _ = cv2.calcOpticalFlowPyrLK(
         first, now, corners, None, winSize=_TRACKED_WINDOW_PIXELS, maxLevel=levels, criteria=_SEARCH_CRITERIA
     )  # type: ignore[call-overload]
     kept = status.ravel() == 1
@@ -98,21 +98,21 @@ def _track(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
         return np.eye(2, 3), np.nan
     centre = np.array([(first.shape[1] - 1) / 2, (first.shape[0] - 1) / 2])
     at = corners[kept, 0].astype(np.float64) - centre
-    transform, displacement = _similarity(at, (found - corners)[kept, 0].astype(np.float64))
+    transform, displacement = _similarity(at, (tracked - corners)[kept, 0].astype(np.float64))
     transform[:, 2] += centre - transform[:, :2] @ centre
     return transform, displacement
 
 
 def _corners(picture: U8) -> F32:
     """The strongest corners (N, 1, 2) of every part of the picture, so that no single texture dominates."""
-    found = cv2.goodFeaturesToTrack(picture, _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE_PIXELS)
-    if found is None:
+    corners = cv2.goodFeaturesToTrack(picture, _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE_PIXELS)
+    if corners is None:
         return np.empty((0, 1, 2), np.float32)
     height, width = picture.shape
     columns, rows = _PICTURE_PARTS
-    part = (found[:, 0, 0] * columns // width) + columns * (found[:, 0, 1] * rows // height)
+    part = (corners[:, 0, 0] * columns // width) + columns * (corners[:, 0, 1] * rows // height)
     kept = [np.flatnonzero(part == each)[:_CORNERS_PER_PART] for each in range(columns * rows)]
-    return np.asarray(found[np.sort(np.concatenate(kept))], np.float32)
+    return np.asarray(corners[np.sort(np.concatenate(kept))], np.float32)
 
 
 def _normalise(picture: U8) -> U8:

@@ -73,17 +73,17 @@ def turns(cameras: Sequence[Camera], matches: Matches, wrong: Collection[int] = 
     """
     left = set(range(len(cameras))) - set(wrong)
     misplaced = _turns(cameras, matches, left, wrong)
-    found = _turns(cameras, matches, left)
+    by_camera = _turns(cameras, matches, left)
     while len(left) > _MIN_CAMERAS:
-        suspects = [camera for camera in sorted(left) if is_turned(cameras[camera], found.get(camera, math.nan))]
+        suspects = [camera for camera in sorted(left) if is_turned(cameras[camera], by_camera.get(camera, math.nan))]
         if not suspects:
             break
         without = {camera: _turns(cameras, matches, left - {camera}) for camera in suspects}
         worst = min(suspects, key=lambda camera: sum(without[camera].values()))
         left.remove(worst)
-        misplaced[worst], found = found[worst], without[worst]
-    found |= misplaced
-    return np.array([found.get(camera, np.nan) for camera in range(len(cameras))])
+        misplaced[worst], by_camera = by_camera[worst], without[worst]
+    by_camera |= misplaced
+    return np.array([by_camera.get(camera, np.nan) for camera in range(len(cameras))])
 
 
 def _turns(
@@ -105,14 +105,14 @@ def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
 
     Wrong matches lie anywhere: of those that could be right, the nearer third decides.
     """
-    found = np.full(len(cameras), np.nan)
+    residuals = np.full(len(cameras), np.nan)
     for pair in matches.pairs:
         distances = np.abs(pair.epipolar_distances(cameras))
         possible = distances[distances < _MAX_LINE_DISTANCE_PIXELS]
         if len(possible) >= _MIN_PAIR_MATCHES:
             for camera in (pair.first, pair.second):
-                found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEAREST_MATCHES_SHARE)))
-    return found
+                residuals[camera] = np.fmin(residuals[camera], float(np.quantile(possible, _NEAREST_MATCHES_SHARE)))
+    return residuals
 
 
 def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> tuple[F64, F64]:
@@ -121,8 +121,8 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
     rays, offsets = [np.empty((0, 2))], [np.empty((0, 2))]
     for one, two in combinations(sorted(pairs), 2):
         rows_one, rows_two = _in_both(_own(pairs[one], camera), _own(pairs[two], camera))
-        here, there = _own(pairs[one], one).rays[rows_one], _own(pairs[two], two).rays[rows_two]
-        points, good = triangulate(cameras[one], cameras[two], here, there)
+        rays_one, rays_two = _own(pairs[one], one).rays[rows_one], _own(pairs[two], two).rays[rows_two]
+        points, good = triangulate(cameras[one], cameras[two], rays_one, rays_two)
         x, y, depth = np.moveaxis(in_camera(cameras[camera], points), -1, 0)
         good &= depth > 0
         seen = np.stack([x[good], y[good]], axis=1) / depth[good, None]
@@ -133,7 +133,7 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
     return np.concatenate(rays), np.concatenate(offsets)
 
 
-def triangulate(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
+def triangulate(one: Camera, two: Camera, rays_one: F64, rays_two: F64) -> tuple[F64, NDArray[np.bool_]]:
     """Points (N, 3) nearest to pairs of rays x/z, y/z (N, 2), and whether they are reliable.
 
     A point is the middle of the shortest segment between its rays. It is reliable if that lies in front of both
@@ -142,7 +142,7 @@ def triangulate(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, N
     centres = camera_centre(one), camera_centre(two)
     rays = [
         turned(camera.world_to_camera[:3, :3].T, np.concatenate([seen, np.ones((len(seen), 1))], axis=1))
-        for camera, seen in ((one, here), (two, there))
+        for camera, seen in ((one, rays_one), (two, rays_two))
     ]
     a, b = (ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays)
     baseline = centres[1] - centres[0]
@@ -153,7 +153,7 @@ def triangulate(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, N
     reach_b = (cosine * along_a - along_b) / sine_squared
     points = (centres[0] + reach_a[:, None] * a + centres[1] + reach_b[:, None] * b) / 2
     angle = np.arccos(np.clip(cosine, -1, 1))
-    near = np.abs(epipolar_distances(one, two, here, there)) < NEAR_LINE_PIXELS
+    near = np.abs(epipolar_distances(one, two, rays_one, rays_two)) < NEAR_LINE_PIXELS
     good = near & (reach_a > 0) & (reach_b > 0) & (angle > MIN_RAYS_ANGLE) & (angle < MAX_RAYS_ANGLE)
     return points, good
 
@@ -179,8 +179,8 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
     # must not take matches off their lines.
     explains = missed < min(_MAX_RESIDUAL_SHARE * size, moved * math.sqrt(len(rays)) / _MIN_MOVED_ERRORS)
     lines = Lines.of(cameras, matches, camera, others)
-    given, found = lines.count_on(np.zeros(3)), lines.count_on(-turn)
-    explains &= found >= _LEFT_ON_LINES * given
+    given, with_turn = lines.count_on(np.zeros(3)), lines.count_on(-turn)
+    explains &= with_turn >= _LEFT_ON_LINES * given
     return math.degrees(size) if explains or not is_turned(cameras[camera], math.degrees(size)) else math.nan
 
 
@@ -197,8 +197,8 @@ class Lines:
     @staticmethod
     def of(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> Lines:
         """The matches of one of the ``cameras`` with ``others``."""
-        found = [(pair, other) for pair in matches.pairs for other in _partner(pair, camera) if other in others]
-        pairs = [(cameras[other], _own(pair, camera).rays, _own(pair, other).rays) for pair, other in found]
+        partners = [(pair, other) for pair in matches.pairs for other in _partner(pair, camera) if other in others]
+        pairs = [(cameras[other], _own(pair, camera).rays, _own(pair, other).rays) for pair, other in partners]
         return Lines(cameras[camera], pairs)
 
     def __len__(self) -> int:

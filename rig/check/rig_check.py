@@ -180,7 +180,7 @@ class RigCheck:
         return sum(len(camera.connected) >= 2 for camera in self.cameras) >= _CONNECTED_SHARE * len(self.cameras)
 
     def _why(self) -> str:
-        shares = [_known(each.seen_by_two) for each in self.cameras]
+        shares = [_share_or_zero(each.seen_by_two) for each in self.cameras]
         gaps = [each.gap for each in self.cameras if math.isfinite(each.gap)]
         near = f"; the nearest view is {np.median(gaps):.0f} degrees away" if gaps else ""
         return f"two other cameras see {np.median(shares):.0%} of a camera's pixels{near} (medians)"
@@ -195,7 +195,7 @@ def check_rig(stats: RigStatistics, each: Each) -> RigCheck:
     """Judges a rig by its calibration, the matches of its pictures, those of what moves, and the pictures."""
     noise = typical_noise(stats.noise)
     late = stats.step * frames_late(stats.cameras, stats.pictures, each)
-    found = [
+    findings = [
         Findings(
             name,
             lost=[stats.frames[k] for k in np.flatnonzero(stats.recordings.dead(row))],
@@ -215,9 +215,9 @@ def check_rig(stats: RigStatistics, each: Each) -> RigCheck:
     ]
     matches, swaps = _matches_in_place(stats, late, each)
     if swaps:  # Light was compared at points that the exchanged pictures do not share.
-        found = [replace(own, stops=math.nan) for own in found]
+        findings = [replace(own, stops=math.nan) for own in findings]
     first = matches if swaps else stats.matches
-    return judge_rig(stats.cameras, first, late, stats.stage, pooled=matches, found=found, swaps=swaps)
+    return judge_rig(stats.cameras, first, late, stats.stage, pooled=matches, findings=findings, swaps=swaps)
 
 
 def judge_rig(
@@ -227,15 +227,15 @@ def judge_rig(
     stage: PlainStage | None = None,
     *,
     pooled: Matches | None = None,
-    found: Sequence[Findings] | None = None,
+    findings: Sequence[Findings] | None = None,
     swaps: Sequence[tuple[int, int]] = (),
 ) -> RigCheck:
     """The check by the matches of the cameras' first pictures; ``late`` (cameras,) in frames, NaN where unknown.
 
     ``pooled``: matches of more moments, by which poses are judged.
 
-    On a plain ``stage``, whose backdrop has no matches, its surfaces and hull say what the cameras see. ``found``: what
-    the pictures tell of the cameras. ``swaps``: cameras with each other's pictures, whose ``matches`` are in place.
+    On a plain ``stage``, whose backdrop has no matches, its surfaces and hull say what the cameras see. ``findings``:
+    what the pictures tell. ``swaps``: cameras with each other's pictures, whose ``matches`` are in place.
     """
     poses = judge_poses(cameras, matches if pooled is None else pooled)
     connected = connections(cameras, matches)
@@ -245,7 +245,7 @@ def judge_rig(
         shown = _matched_surface(cameras, matches, row) if stage is None else _stage_surface(stage, camera)
         by_one, by_two, gap = _coverage(cameras, row, shown)
         own = replace(
-            Findings(camera.name) if found is None else found[row],
+            Findings(camera.name) if findings is None else findings[row],
             swapped=other.get(row),
             misplaced=bool(poses.misplaced[row]),
             turned=float(poses.turned[row]),
@@ -298,9 +298,9 @@ def _matches_in_place(stats: RigStatistics, late: F64, each: Each) -> tuple[Matc
     return in_place, swaps
 
 
-def _stops(found: Mismatch) -> F64:
+def _stops(light: Mismatch) -> F64:
     """Each camera's exposure (cameras,) against the median camera, in stops, as far as its points share it."""
-    return np.asarray(np.where(found.shares[:, 0] != 0, found.gains[:, 0], 0.0) / math.log(2))
+    return np.asarray(np.where(light.shares[:, 0] != 0, light.gains[:, 0], 0.0) / math.log(2))
 
 
 def _least(sharp: F64) -> F64:
@@ -311,7 +311,7 @@ def _least(sharp: F64) -> F64:
 def _expected(checks: Sequence[CameraCheck]) -> str | None:
     if len(checks) < 3:
         return None
-    seen = float(np.median([_known(check.seen_by_two) for check in checks]))
+    seen = float(np.median([_share_or_zero(check.seen_by_two) for check in checks]))
     gaps = [check.gap for check in checks if math.isfinite(check.gap)]
     gap = math.radians(float(np.median(gaps))) if len(gaps) * 2 > len(checks) else math.inf
     if seen >= _RIGHT_SEEN_SHARE and gap <= _RIGHT_GAP:
@@ -319,7 +319,7 @@ def _expected(checks: Sequence[CameraCheck]) -> str | None:
     return ROUGH if seen >= _ROUGH_SEEN_SHARE and gap <= _ROUGH_GAP else WRONG
 
 
-def _known(share: float) -> float:
+def _share_or_zero(share: float) -> float:
     """A share of pixels, 0 where it is not known: what no match finds, training hardly finds."""
     return share if math.isfinite(share) else 0.0
 

@@ -123,7 +123,7 @@ def gather_statistics(
         backdrop = _backdrop(cameras, [own[0] for own in pictures])
         points = shared_points(cameras, matches, backdrop if isinstance(backdrop, PlainStage) else None)
         pixels = [points.pixels_of(row) for row in range(len(cameras))]
-        lights = [steps.count(found) for found in each(light_at, pictures, pixels)]
+        lights = [steps.count(of_camera) for of_camera in each(light_at, pictures, pixels)]
         light = own_light(points, lights, list(each(light_overall, pictures)))
         paths = [steps.count(path) for path in each(camera_path, pictures)]
         recordings = find_lost(pictures, chosen.step, unread)
@@ -162,8 +162,8 @@ def _backdrop(cameras: Sequence[Camera], pictures: Sequence[U8]) -> BackdropStag
     plans = [Undistortion(camera) for camera in cameras]
     views = [View(plan.camera, plan.pinhole, plan.valid.astype(np.float32)) for plan in plans]
     straight = [display_referred(plan.apply(own)) for plan, own in zip(plans, pictures, strict=True)]
-    found = find_stage(views, RigFrame(0, [picture.transpose(2, 0, 1) for picture in straight], []))
-    return found if isinstance(found, BackdropStage) else None
+    stage = find_stage(views, RigFrame(0, [picture.transpose(2, 0, 1) for picture in straight], []))
+    return stage if isinstance(stage, BackdropStage) else None
 
 
 class _Steps:
@@ -245,7 +245,7 @@ def _of_resting(noise: F64, paths: Sequence[CameraPath]) -> F64:
 
 def typical_noise(noise: F64) -> F64:
     """Each camera's median over the frames (cameras,); where it is undetermined, the median of all; 0 when none is."""
-    known = noise[np.isfinite(noise)]
-    overall = float(np.median(known)) if known.size else 0.0
+    finite = noise[np.isfinite(noise)]
+    overall = float(np.median(finite)) if finite.size else 0.0
     rows = [row[np.isfinite(row)] for row in noise]
     return np.array([float(np.median(row)) if row.size else overall for row in rows])

@@ -109,10 +109,10 @@ class StageCheck:
             return (
                 "the backdrop has not one colour to key; a clean picture of each camera, or masks, cut the subject out"
             )
-        said = "clean" if self.key.is_clean else "not clean"
+        state = "clean" if self.key.is_clean else "not clean"
         return (
-            f"{said}: most of the backdrop is within {self.key.spread:.1f} degrees of its hue, and {self.key.worn:.1%} "
-            "of the subject has its colour"
+            f"{state}: most of the backdrop is within {self.key.spread:.1f} degrees of its hue, and "
+            f"{self.key.worn:.1%} of the subject has its colour"
         )
 
 
@@ -279,9 +279,9 @@ def _key(stage: PlainStage, shown: Sequence[_Shown], backdrop: FloatArray) -> Ke
     within = replace(stage, hull=inner)
     subject = np.concatenate([_inner_colours(within, *each) for each in zip(shown, cores, strict=True)])
     aside, strength = _against(angle, subject)
-    worn = (aside <= _KEY_DEGREES) & (strength >= _KEY_SATURATION * saturation)
-    worn &= subject @ LUMA >= _KEY_LUMA * (screen @ LUMA)
-    return KeyCheck(angle, spread, float(worn.sum()) / max(len(worn), 1))
+    screen_coloured = (aside <= _KEY_DEGREES) & (strength >= _KEY_SATURATION * saturation)
+    screen_coloured &= subject @ LUMA >= _KEY_LUMA * (screen @ LUMA)
+    return KeyCheck(angle, spread, float(screen_coloured.sum()) / max(len(screen_coloured), 1))
 
 
 def _inner_colours(stage: PlainStage, view: _Shown, core: NDArray[np.bool_]) -> FloatArray:

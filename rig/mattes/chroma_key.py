@@ -56,7 +56,7 @@ class Keyed:
     """The subject before a screen, and the share of its pixels that have the screen's colour."""
 
     subject: Subject
-    worn: float
+    screen_coloured_share: float
 
 
 def key_axis(text: str) -> FloatArray:
@@ -79,16 +79,16 @@ def keyed(picture: FloatArray, axis: FloatArray) -> Keyed | None:
     if own is None:
         return None
     tones = _tones(smooth, own)
-    screen, worn = _near(tones), np.zeros(tones.luma.shape, np.bool_)
+    screen, screen_coloured = _near(tones), np.zeros(tones.luma.shape, np.bool_)
     for _ in range(_ROUNDS):
-        screen, worn = _screen(_against(tones, _spread(picture, screen), own))
+        screen, screen_coloured = _screen(_against(tones, _spread(picture, screen), own))
         if not screen.any():
             return None
     plate = _resized(_spread(picture, screen), screen.shape)
     subject = cut_out(picture, plate, screen)
     covered = max(float(subject.alpha.sum()), 1.0)
     colours = _without_spill(subject.colours, plate, own)
-    return Keyed(Subject(subject.alpha, colours), float(np.count_nonzero(worn)) / covered)
+    return Keyed(Subject(subject.alpha, colours), float(np.count_nonzero(screen_coloured)) / covered)
 
 
 def _unit(vector: FloatArray) -> FloatArray:
@@ -157,13 +157,13 @@ def _screen(tones: _Tones) -> tuple[BoolArray, BoolArray]:
     alike &= (tones.luma > _SCREEN_LIGHT[0]) & (tones.luma < _SCREEN_LIGHT[1])
     labels, stats = _regions(alike)
     shown, (height, width) = _large(stats, alike.size), alike.shape
-    worn = np.zeros_like(shown)
+    screen_coloured = np.zeros_like(shown)
     for label in np.flatnonzero(shown):
         x, y, w, h, area = stats[label]
         amid = x > 0 and y > 0 and x + w < width and y + h < height and area < _MAX_GAP_SHARE * alike.size
         if amid and not _is_gap(tones, labels, int(label), (slice(y, y + h), slice(x, x + w))):
-            shown[label], worn[label] = False, True
-    return np.asarray(shown[labels]), np.asarray(worn[labels])
+            shown[label], screen_coloured[label] = False, True
+    return np.asarray(shown[labels]), np.asarray(screen_coloured[labels])
 
 
 def _is_gap(tones: _Tones, labels: NDArray[np.int32], label: int, box: tuple[slice, slice]) -> bool:

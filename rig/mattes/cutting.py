@@ -47,10 +47,10 @@ def cut_out(picture: FloatArray, plate: FloatArray, backdrop: BoolArray) -> Subj
 
     Pixels of the backdrop beside the subject may be mixtures, too.
     """
-    there = backdrop.astype(np.uint8)
+    mask = backdrop.astype(np.uint8)
     reach = _reach(picture)
-    inside = cv2.dilate(there, _disc(reach)) == 0
-    outside = cv2.erode(there, _disc(1), borderValue=1) > 0
+    inside = cv2.dilate(mask, _disc(reach)) == 0
+    outside = cv2.erode(mask, _disc(1), borderValue=1) > 0
     continued = _continued(picture, inside, reach)
     alpha = inside.astype(np.float32)
     rows, columns = np.nonzero(~inside & ~outside)
@@ -71,8 +71,8 @@ def with_alpha(picture: FloatArray, alpha: FloatArray) -> Subject:
 
 def _along_outline(picture: FloatArray, guess: FloatArray, reach: int) -> FloatArray:
     """Alpha (H, W): the ``guess``, made to follow the picture's edges near its outline."""
-    there, near = (guess > 0.5).astype(np.uint8), _disc(max(1, reach // 2))
-    outline = (cv2.dilate(there, near) > 0) & (cv2.erode(there, near) == 0)
+    subject, near = (guess > 0.5).astype(np.uint8), _disc(max(1, reach // 2))
+    outline = (cv2.dilate(subject, near) > 0) & (cv2.erode(subject, near) == 0)
     clear = _clear(guess)
     return np.where(outline, _clear(fitted(picture, clear, outline)), clear)
 
@@ -121,9 +121,9 @@ def _mixed(
     farthest, step = _SAMPLED_REACHES * reach, max(1, reach // 2)
     around = np.arange(-farthest, farthest + 1, step)
     for down, across in ((y, x) for y in around for x in around if y * y + x * x <= farthest**2):
-        there = np.clip(rows + down, 0, height - 1), np.clip(columns + across, 0, width - 1)
-        each, rest = _explained(seen, picture[there] - behind)
-        weight = inside[there] * (np.exp(-rest / np.float32(2 * _DEVIATION**2)) + np.float32(1e-9))
+        pixel = np.clip(rows + down, 0, height - 1), np.clip(columns + across, 0, width - 1)
+        each, rest = _explained(seen, picture[pixel] - behind)
+        weight = inside[pixel] * (np.exp(-rest / np.float32(2 * _DEVIATION**2)) + np.float32(1e-9))
         alpha, total = alpha + weight * each, total + weight
     return np.asarray(alpha / total, np.float32)
 

@@ -25,7 +25,7 @@ from .filling import push_pull
 
 _LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 """Of each 8-bit level."""
-_KEPT = 0.5
+_MIN_KEPT_ALPHA = 0.5
 """Of an ignore mask, from which a pixel teaches."""
 
 
@@ -33,12 +33,12 @@ _KEPT = 0.5
 class Cut:
     """A camera's picture with the subject's own colours, and alpha (H, W) 0..1; None where the camera has no matte.
 
-    ``worn``: the share of a keyed subject that has the screen's colour.
+    ``screen_coloured_share``: the share of a keyed subject that has the screen's colour.
     """
 
     picture: Picture
     alpha: FloatArray | None
-    worn: float = 0.0
+    screen_coloured_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,10 @@ class Mattes:
         if given is not None:
             return Cut(self._own_colours(name, picture, given), given)
         if self.key is not None:
-            found = keyed(linear(centred_chroma(picture)), self.key)
-            if found is None:
+            key = keyed(linear(centred_chroma(picture)), self.key)
+            if key is None:
                 raise RigError(f"camera {name} shows no screen of the colour of `key`; check it, or use `masks`")
-            return Cut(_like(picture, found.subject), found.subject.alpha, found.worn)
+            return Cut(_like(picture, key.subject), key.subject.alpha, key.screen_coloured_share)
         if self.rig is None and name in self.plates:
             subject = before_plate(linear(picture), linear(self.plates[name]))
             if subject is None:
@@ -158,18 +158,18 @@ def _ignore_masks(choice: MatteChoice, rig: Rig) -> dict[str, Path]:
                 f"{files[0]}: the calibration names {len(files)} masks of camera {name}; give one for all its frames, "
                 "or do without (`own_masks`)"
             )
-    found = {name: files[0] for name, files in named.items()}
+    masks = {name: files[0] for name, files in named.items()}
     if choice.ignore is not None:
         given = pictures_per_camera(Path(choice.ignore), [camera.name for camera in rig.cameras])
         if not given:
             refuse_unknown_kinds(list_folder(Path(choice.ignore)))
             raise RigError(f"{choice.ignore}: no mask of any camera; name them after the cameras, like cam00.png")
-        found |= given
-    return found
+        masks |= given
+    return masks
 
 
 def _kept(rig: Rig, name: str, file: Path) -> BoolArray:
-    kept = alpha_of(_at_size(rig, name, file)) >= _KEPT
+    kept = alpha_of(_at_size(rig, name, file)) >= _MIN_KEPT_ALPHA
     if not kept.any():
         raise RigError(f"{file}: black all over, so that camera {name} teaches nothing; white is what counts")
     return np.asarray(kept)

@@ -36,7 +36,7 @@ NEAR_FRACTION = 0.1
 """Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
 
 
-_KEPT = 0.999
+_MIN_TEACHING_SHARE = 0.999
 """Share of a pixel that an ignore mask leaves, from which it teaches: scaled and straightened, edges mix."""
 _FLOAT32_ROUNDING = 2.0**-24
 """Of a float32 position, relative to its distance from the world's origin."""
@@ -78,9 +78,9 @@ class RigFrame:
     ``recorded``: in the first frame asked for, digests by camera of the training pictures as they were decoded.
     ``alpha``: of each training view, (H, W) float32 0..1, how much of a pixel the subject covers; none without mattes.
     ``held_out_alpha``: the same of the held-out views, None for those without a matte. ``plates``: of each training
-    view the backdrop alone, as a picture, where a clean one was given; else none. ``worn``: of each training view the
-    share of the subject that has the screen's colour; none without a key. ``lost``: why a camera, by name, has no
-    picture of this frame, or none that can be cut out; what stands in its place shows nothing.
+    view the backdrop alone, as a picture, where a clean one was given; else none. ``screen_coloured_shares``: of each
+    training view the share of the subject that has the screen's colour; none without a key. ``lost``: why a
+    camera, by name, has no picture of this frame, or none that can be cut out; what stands in its place shows nothing.
     """
 
     index: int
@@ -91,7 +91,7 @@ class RigFrame:
     recorded: Mapping[str, str] = field(default_factory=dict)
     held_out_alpha: Sequence[FloatArray | None] = ()
     plates: Sequence[FloatArray] = ()
-    worn: Sequence[float] = ()
+    screen_coloured_shares: Sequence[float] = ()
     lost: Mapping[str, str] = field(default_factory=dict)
 
     def lost_views(self, views: Sequence[View]) -> dict[int, str]:
@@ -234,7 +234,7 @@ class Ingest:
                 recorded,
                 alphas[count:] if self._mattes.cuts else (),
                 self._plates,
-                [] if self._mattes.key is None else [each.worn for each in cut[:count]],
+                [] if self._mattes.key is None else [each.screen_coloured_share for each in cut[:count]],
                 dict(lost),
             )
             lost.clear()
@@ -284,7 +284,7 @@ class Ingest:
         valid, kept = self._plans[name].valid, self._mattes.kept.get(name)
         if kept is None:
             return valid
-        return valid & (self._undistorted(name, kept.astype(np.float32)) > _KEPT)
+        return valid & (self._undistorted(name, kept.astype(np.float32)) > _MIN_TEACHING_SHARE)
 
 
 def _resized(picture: PictureArray, size: Size) -> PictureArray:

@@ -140,9 +140,9 @@ def find_surfaces(views: Sequence[PlainView]) -> Surfaces:
     for up in _upward(views, centres):
         axes = _axes(up)
         search = _Search(views, middle, axes, distance)
-        found = search.floor(float(((centres - middle) @ up).min()))
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found[0], Surfaces(middle, axes, found[1], search.wall(found[1]))
+        floor = search.floor(float(((centres - middle) @ up).min()))
+        if floor is not None and (best is None or floor[0] < best[0]):
+            best = floor[0], Surfaces(middle, axes, floor[1], search.wall(floor[1]))
     return best[1] if best else Surfaces(middle, np.eye(3), None, _SPHERE_DISTANCES * distance)
 
 
@@ -214,12 +214,12 @@ class _Search:
             return None
         around = [np.delete(costs[at - reach : at + reach + 1], reach) for at in range(reach, len(costs) - reach)]
         nearby = np.median(around, axis=1)
-        known = np.isfinite(nearby)
-        sharpness = np.divide(nearby, costs[reach:-reach], out=np.zeros_like(nearby), where=known)
+        finite = np.isfinite(nearby)
+        sharpness = np.divide(nearby, costs[reach:-reach], out=np.zeros_like(nearby), where=finite)
         at = int(np.argmax(sharpness))
         fine = np.linspace(heights[at + reach - 1], heights[at + reach + 1], _FINE_STEPS)
         finer = costs_at(fine)
-        if not known[at] or nearby[at] < _MIN_TEXTURE_SHARPNESS * finer.min():
+        if not finite[at] or nearby[at] < _MIN_TEXTURE_SHARPNESS * finer.min():
             return None
         return float(fine[int(np.argmin(finer))])
 
@@ -317,10 +317,10 @@ def surface_colours(views: Sequence[PlainView], xyz: F64, normals: F64) -> Float
         rows, colours = plain_colours(view, xyz, normals)
         total[rows] += colours
         counts[rows] += 1
-    known = counts > 0
+    seen = counts > 0
     mean = total / np.maximum(counts, np.float32(1))[:, None]
-    if not known.all() and known.any():
-        mean[~known] = mean[known][nearest_of(xyz[known], xyz[~known])]
+    if not seen.all() and seen.any():
+        mean[~seen] = mean[seen][nearest_of(xyz[seen], xyz[~seen])]
     return floats(mean)
 
 

@@ -30,19 +30,19 @@ class Agreement:
     correlation: F64
 
 
-def agreement(first: int, second: int, here: F32, there: F32, reach: int) -> Agreement:
+def agreement(first: int, second: int, first_signal: F32, second_signal: F32, reach: int) -> Agreement:
     """Of signals (channels, F, planes), each without its mean in every plane and channel over the common span."""
     lags = range(-reach, reach + 1)
     evidence, correlation = np.zeros(len(lags)), np.full(len(lags), np.nan)
-    shorter = min(here.shape[1], there.shape[1])
+    shorter = min(first_signal.shape[1], second_signal.shape[1])
     least = max(_MIN_OVERLAP, round(_MIN_OVERLAP_SHARE * shorter))
     for column, lag in enumerate(lags):
-        begin, end = max(0, lag), min(here.shape[1], there.shape[1] + lag)
+        begin, end = max(0, lag), min(first_signal.shape[1], second_signal.shape[1] + lag)
         if end - begin < least:
             continue
-        found = _correlations(here[:, begin:end], there[:, begin - lag : end - lag])
-        correlation[column] = found.sum()
-        evidence[column] = -(end - begin - 1) * np.log(1 - np.clip(found, 0, _MAX_CORRELATION) ** 2).sum()
+        correlations = _correlations(first_signal[:, begin:end], second_signal[:, begin - lag : end - lag])
+        correlation[column] = correlations.sum()
+        evidence[column] = -(end - begin - 1) * np.log(1 - np.clip(correlations, 0, _MAX_CORRELATION) ** 2).sum()
     return Agreement(first, second, evidence, correlation)
 
 

@@ -67,15 +67,15 @@ def _sync(parser: Parser, options: argparse.Namespace) -> None:
     check_new_folder(folder)
     rig = open_recordings(options.rig_dir)
     with progress("synchronising", "step", quiet=options.quiet) as on_step:
-        found = find_starts(rig, threads=options.threads, on_step=on_step)
+        synchrony = find_starts(rig, threads=options.threads, on_step=on_step)
     # What would be refused later, such as no common span, is refused before anything is written.
-    said = in_step(rig, found.starts).warnings if found.starts else rig.warnings
+    warnings = in_step(rig, synchrony.starts).warnings if synchrony.starts else rig.warnings
     with staged_files(folder) as staging:
-        write_rig_folder(rig, staging, found.starts)
-        (staging / NAME).write_text(sync_document(found), encoding="utf-8")
-    for warning in (*said, *found.warnings, *_left_behind(rig)):
+        write_rig_folder(rig, staging, synchrony.starts)
+        (staging / NAME).write_text(sync_document(synchrony), encoding="utf-8")
+    for warning in (*warnings, *synchrony.warnings, *_left_behind(rig)):
         warn_as(parser)(warning)
-    print_text("\n".join(_table(found)))
+    print_text("\n".join(_table(synchrony)))
 
 
 def _left_behind(rig: Rig) -> Iterator[str]:
@@ -83,13 +83,13 @@ def _left_behind(rig: Rig) -> Iterator[str]:
         yield f"{rig.path}: the masks that its calibration names are not taken over; give them with --ignore"
 
 
-def _table(found: Synchrony) -> Iterator[str]:
+def _table(synchrony: Synchrony) -> Iterator[str]:
     """A row per camera: when it starts, how sure that is, and by what it is known."""
     yield "camera                start      confidence  by"
-    for each in found.cameras:
+    for each in synchrony.cameras:
         if each.offset is None:
             yield f"{each.name:<20}  cannot say"
         else:
             yield f"{each.name:<20}  {each.offset:6.2f}     {each.confidence:9.0%}  {each.method}"
-    if not found.starts:
+    if not synchrony.starts:
         yield "nothing says when these cameras start: record a clap or a flash that all of them get"

@@ -18,17 +18,17 @@ from decogs.formats.videos.chapters import chapters_from
 from decogs.formats.videos.reading import VideoSource
 
 from ..parallel import Each
-from .joint import Joint
+from .joint import StartEstimate
 from .motion import starts_by_motion
 from .small import MAX_FRAMES, small_camera, small_clip
 from .sound import starts_by_sound
 
 _NOTICED = 0.5
 """Frames that a clock must lose to be named: whole frames are then wrong at one end."""
-_SURE = 2.0
+_MIN_DEVIATIONS = 2.0
 """Standard errors that this must be, too."""
 _MIN_VOTES = 0.7
-"""As for starts (`starts.known`)."""
+"""As for starts (`starts.is_reliable`)."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,13 @@ def find_drifts(rig: Rig, starts: Mapping[str, RigTime], each: Each, ends: Ends)
     common = in_step(rig, starts)
     if common.timeline.rate is None or common.frame_count < max(ends.least * common.timeline.rate, 2 * ends.watched):
         return {}
-    found: dict[str, Drift] = {}
+    drifts: dict[str, Drift] = {}
     listened = round(ends.listened * common.timeline.rate)
     for way, window in ((_by_motion, ends.watched), (_by_sound, listened)):  # what sound says counts more
         between = common.frame_count - window
         begin, end = (way(common, range(at, at + window), each) for at in (0, between))
-        found |= dict(_apart(common, begin, end, between))
-    return {name: drift for name, drift in found.items() if abs(drift.frames) > _NOTICED}
+        drifts |= dict(_find_apart(common, begin, end, between))
+    return {name: drift for name, drift in drifts.items() if abs(drift.frames) > _NOTICED}
 
 
 def warnings_of(drifts: Mapping[str, Drift], timeline: Timeline) -> Iterator[str]:
@@ -86,30 +86,32 @@ def warnings_of(drifts: Mapping[str, Drift], timeline: Timeline) -> Iterator[str
         )
 
 
-def _apart(rig: Rig, begin: Joint, end: Joint, between: int) -> Iterator[tuple[str, Drift]]:
+def _find_apart(rig: Rig, begin: StartEstimate, end: StartEstimate, between: int) -> Iterator[tuple[str, Drift]]:
     """What is known of each camera; 0 frames where that is less than may be chance."""
     apart = end.starts - begin.starts
     errors = np.hypot(begin.errors, end.errors)
-    known = np.isfinite(apart) & np.isfinite(errors) & (np.minimum(begin.votes, end.votes) >= _MIN_VOTES)
-    if known.sum() > 2:
-        apart = apart - np.median(apart[known])
-        for row in np.flatnonzero(known).tolist():
-            sure = abs(apart[row]) > _SURE * errors[row]
+    is_reliable = (
+        np.isfinite(apart) & np.isfinite(errors) & (np.minimum(begin.pair_agreement, end.pair_agreement) >= _MIN_VOTES)
+    )
+    if is_reliable.sum() > 2:
+        apart = apart - np.median(apart[is_reliable])
+        for row in np.flatnonzero(is_reliable).tolist():
+            sure = abs(apart[row]) > _MIN_DEVIATIONS * errors[row]
             yield rig.cameras[row].name, Drift(float(apart[row]) if sure else 0.0, between)
 
 
-def _by_motion(rig: Rig, frames: range, each: Each) -> Joint:
+def _by_motion(rig: Rig, frames: range, each: Each) -> StartEstimate:
     small = [small_camera(camera) for camera in rig.cameras]
     clips = [small_clip(source, frames, to) for source, to in zip(rig.sources, small, strict=True)]
     return starts_by_motion(small, clips, each)
 
 
-def _by_sound(rig: Rig, frames: range, each: Each) -> Joint:
+def _by_sound(rig: Rig, frames: range, each: Each) -> StartEstimate:
     sounds = list(each(lambda camera: _sound(rig, camera.name, frames), rig.cameras))
     heard = starts_by_sound(rig.cameras, sounds, metres_of(rig.length_unit))
     rate = float(rig.timeline.rate or 1)
-    # The way of the sound is the same at both ends, so that only the onsets' own error counts.
-    return Joint(heard.starts * rate, np.zeros(len(sounds)), heard.votes)
+    # Sound takes as long to arrive at both ends, so that only the onsets' own error counts.
+    return StartEstimate(heard.starts * rate, np.zeros(len(sounds)), heard.pair_agreement)
 
 
 def _sound(rig: Rig, camera: str, frames: range) -> Sound | None:

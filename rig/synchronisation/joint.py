@@ -17,9 +17,9 @@ _MIN_EVIDENCE = 3.0
 """Of a pair's best lag, to count. Figure: pairs that see nothing but noise and a video's coding have .8 at most."""
 _ROUNDS = 30
 """At most so often every camera is moved to where it agrees best with the others."""
-_APART = 0.25
+_LAG_SOFTENING_FRAMES = 0.25
 """Frames by which a pair may differ from the others' verdict before it counts less."""
-_UNNOTICED = 0.08
+_CALIBRATION_EVIDENCE_SHARE = 0.08
 """A calibration with errors changes the evidence for a start by up to this share. At 60 frames a second, a camera in
 step has 7 % less evidence at its start than a frame beside it, one that is a frame late 10 to 14 % less in step."""
 _VOTE_FRAMES = 1.5
@@ -27,29 +27,31 @@ _VOTE_FRAMES = 1.5
 
 
 @dataclass(frozen=True)
-class Joint:
-    """The ``starts`` (cameras,) in frames, their standard ``errors``, and the ``votes`` 0..1 of their pairs for them.
+class StartEstimate:
+    """The ``starts`` (cameras,) in frames, their standard ``errors``, and ``pair_agreement`` 0..1.
 
     NaN, NaN and 0 for cameras that no pair links with most others.
     """
 
     starts: F64
     errors: F64
-    votes: F64
+    pair_agreement: F64
 
 
-def joint_starts(count: int, pairs: Sequence[Agreement]) -> Joint:
+def joint_starts(count: int, pairs: Sequence[Agreement]) -> StartEstimate:
     """The best starts of ``count`` cameras: whole frames that have most evidence, then their fractions."""
     pairs = [pair for pair in pairs if pair.evidence.max() >= _MIN_EVIDENCE]
     groups, tree = _tree(count, pairs)
     linked = groups == np.bincount(groups).argmax()
     if linked.sum() < 2:
-        return Joint(np.full(count, np.nan), np.full(count, np.nan), np.zeros(count))
+        return StartEstimate(np.full(count, np.nan), np.full(count, np.nan), np.zeros(count))
     begun = (tree, np.zeros(count, np.int64))
     whole = max((_settled(starts, pairs) for starts in begun), key=lambda starts: _evidence(starts, pairs))
     starts, errors = _fractions(whole, pairs)
     votes = np.array([_votes(row, whole, pairs) for row in range(count)])
-    return Joint(np.where(linked, starts, np.nan), np.where(linked, errors, np.nan), np.where(linked, votes, 0.0))
+    return StartEstimate(
+        np.where(linked, starts, np.nan), np.where(linked, errors, np.nan), np.where(linked, votes, 0.0)
+    )
 
 
 def _lag(pair: Agreement, starts: I64) -> int:
@@ -126,7 +128,7 @@ def _fractions(whole: I64, pairs: Sequence[Agreement]) -> tuple[F64, F64]:
         normal = system.T @ (weights[:, None] * system) + tie
         starts = np.linalg.solve(normal, system.T @ (weights * lags) + tie @ whole)
         apart = np.abs(system @ starts - lags)
-        weights = bends / np.maximum(1, apart / _APART)
+        weights = bends / np.maximum(1, apart / _LAG_SOFTENING_FRAMES)
     evidence = np.array([peak.evidence for peak in peaks])
     return starts, np.array([_error(np.flatnonzero(own), apart, weights, bends, evidence) for own in system.T])
 
@@ -139,7 +141,7 @@ def _error(own: I64, apart: F64, weights: F64, bends: F64, evidence: F64) -> flo
     if len(own) < 2:
         return np.nan
     scatter = (weights[own] * apart[own] ** 2).sum() / weights[own].sum() / (len(own) - 1)
-    unnoticed = _UNNOTICED * 2 * evidence[own].sum() / bends[own].sum()
+    unnoticed = _CALIBRATION_EVIDENCE_SHARE * 2 * evidence[own].sum() / bends[own].sum()
     return float(np.sqrt(4 * scatter + unnoticed / 4))
 
 

@@ -8,7 +8,7 @@ from decogs.formats.cameras import Camera
 
 from ..parallel import Each
 from .agreement import agreement
-from .joint import Joint, joint_starts
+from .joint import StartEstimate, joint_starts
 from .motion_signals import U8, planes_of, signals_of
 
 
@@ -17,7 +17,7 @@ def starts_by_motion(
     pictures: Sequence[Iterable[U8]],
     each: Each,
     on_camera: Callable[[int], None] = lambda done: None,
-) -> Joint:
+) -> StartEstimate:
     """The starts of cameras, in frames, by grey ``pictures`` (H, W) of each, of successive frames from its first on."""
     planes = planes_of(cameras)
     signals = []

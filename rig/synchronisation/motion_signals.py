@@ -49,8 +49,8 @@ Planes = Mapping[tuple[int, int], tuple[I64, I64]]
 
 def planes_of(cameras: Sequence[Camera]) -> Planes:
     """The half-planes of every camera and its partners."""
-    found = ((pair, _pair_planes(cameras[pair[0]], cameras[pair[1]])) for pair in _partners(cameras))
-    return {pair: planes for pair, planes in found if planes is not None}
+    pairs = ((pair, _pair_planes(cameras[pair[0]], cameras[pair[1]])) for pair in _partners(cameras))
+    return {pair: planes for pair, planes in pairs if planes is not None}
 
 
 def signals_of(row: int, planes: Planes, pictures: Iterable[U8]) -> dict[int, F32]:

@@ -32,8 +32,8 @@ def open_synchronised(
     warnings: tuple[str, ...] = ()
     read: tuple[Path, ...] = ()
     if sync == AUTO:
-        found = find_starts(recordings, threads=threads, on_step=on_step)
-        starts, warnings = found.starts, found.warnings
+        synchrony = find_starts(recordings, threads=threads, on_step=on_step)
+        starts, warnings = synchrony.starts, synchrony.warnings
     else:
         read = (Path(sync),)
         starts = read_starts(*read, recordings)

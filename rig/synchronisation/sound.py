@@ -16,7 +16,7 @@ from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.geometry.axes import point_nearest_axes
 from decogs.formats.sound.tracks import RATE, Sound
 
-from .joint import Joint
+from .joint import StartEstimate
 
 F64 = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ _UNPLACED = 1.0
 """Metres by which the distances to a source differ from those to what the cameras look at, one standard error."""
 
 
-def starts_by_sound(cameras: Sequence[Camera], sounds: Sequence[Sound | None], metres: float | None) -> Joint:
+def starts_by_sound(cameras: Sequence[Camera], sounds: Sequence[Sound | None], metres: float | None) -> StartEstimate:
     """The starts of cameras in seconds; NaN for those without sound, or whose sound the others did not hear.
 
     ``metres``: of a world unit, to take off how long sound takes to each camera from what they look at; None if nobody
@@ -53,7 +53,7 @@ def starts_by_sound(cameras: Sequence[Camera], sounds: Sequence[Sound | None], m
     distances = _distances(cameras)
     late = np.zeros(len(cameras)) if metres is None else distances * metres / SPEED
     unsure = _UNPLACED if metres is not None else 2 * _UNPLACED
-    return Joint(starts + late, np.hypot(errors, unsure / SPEED), votes)
+    return StartEstimate(starts + late, np.hypot(errors, unsure / SPEED), votes)
 
 
 def onsets_of(samples: NDArray[np.float32]) -> F64:
@@ -84,24 +84,28 @@ class _Pair:
 
 def _partners(rows: Sequence[int]) -> list[tuple[int, int]]:
     count = len(rows)
-    found = {(k, (k + step) % count) for k in range(count) for step in range(1, min(_PARTNERS, count - 1) + 1)}
-    return sorted({(rows[min(pair)], rows[max(pair)]) for pair in found})
+    pairs = {(k, (k + step) % count) for k in range(count) for step in range(1, min(_PARTNERS, count - 1) + 1)}
+    return sorted({(rows[min(pair)], rows[max(pair)]) for pair in pairs})
 
 
 def _pair(first: int, second: int, onsets: dict[int, F64], sounds: Sequence[Sound | None]) -> _Pair | None:
     """Where two cameras' onsets agree best; None where that is no better than chance, or nothing was heard."""
-    here, there, delays = onsets[first], onsets[second], [getattr(sounds[row], "delay", 0.0) for row in (first, second)]
-    size = 1 << (len(here) + len(there)).bit_length()
-    product = np.fft.rfft(here, size) * np.conj(np.fft.rfft(there, size))
+    first_onsets, second_onsets, delays = (
+        onsets[first],
+        onsets[second],
+        [getattr(sounds[row], "delay", 0.0) for row in (first, second)],
+    )
+    size = 1 << (len(first_onsets) + len(second_onsets)).bit_length()
+    product = np.fft.rfft(first_onsets, size) * np.conj(np.fft.rfft(second_onsets, size))
     correlation = np.fft.irfft(product, size)
-    lags = np.concatenate([correlation[-len(there) + 1 :], correlation[: len(here)]])
+    lags = np.concatenate([correlation[-len(second_onsets) + 1 :], correlation[: len(first_onsets)]])
     deviation = float(np.sqrt(np.mean(lags * lags)))
     best = int(np.argmax(lags))
     if deviation <= 0 or not 0 < best < len(lags) - 1 or lags[best] < _MIN_LEAD * deviation:
         return None
     before, top, after = lags[best - 1 : best + 2]
     fine = (before - after) / 2 / min(before - 2 * top + after, -1e-12)
-    lag = (best - len(there) + 1 + float(np.clip(fine, -1, 1))) / _TICKS
+    lag = (best - len(second_onsets) + 1 + float(np.clip(fine, -1, 1))) / _TICKS
     return _Pair(first, second, lag + delays[0] - delays[1], float(lags[best]) / deviation)
 
 

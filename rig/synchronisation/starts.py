@@ -25,7 +25,7 @@ from decogs.formats.videos.reading import VideoSource
 
 from ..parallel import Each, side_by_side
 from .drift import Ends, find_drifts, warnings_of
-from .joint import Joint
+from .joint import StartEstimate
 from .motion import starts_by_motion
 from .small import MAX_FRAMES, small_camera, small_clip, small_grey
 from .sound import SECONDS, starts_by_sound
@@ -39,7 +39,7 @@ _MIN_VOTES = 0.7
 as they were: .77 to 1."""
 _MIN_CHANCE = 0.6
 """Least chance that the whole frame is right, by the standard error."""
-_SURE = 0.9
+_LATE_CHANCE = 0.9
 """The same, for a verdict on a camera. Figure: cameras out of step have .90 and more, cameras in step up to .86."""
 _WHOLE = 0.4
 """Frames from whole ones that motion alone must find a camera to be believed: rigs in step show up to .36."""
@@ -102,8 +102,8 @@ def find_starts(
             small_clip(*own) for own in zip(rig.sources, map(_first_frames, rig.sources, steps), small, strict=True)
         ]
         moved = starts_by_motion(small, clips, each, lambda done: on_step(len(cameras) + done, total))
-        found, warnings = _without_pictures(rig, sounds)
-        together = joined(names, rig.timeline.rate, [*found, (MOTION, whole_if_in_step(moved))])
+        estimates, warnings = _without_pictures(rig, sounds)
+        together = merge_estimates(names, rig.timeline.rate, [*estimates, (MOTION, snap_to_trigger(moved))])
         drifts = find_drifts(rig, together.starts, each, ends) if together.starts else {}
     return replace(together, warnings=(*warnings, *together.warnings, *warnings_of(drifts, rig.timeline)))
 
@@ -113,18 +113,20 @@ def find_starts_without_poses(rig: Rig, *, threads: int = 0) -> Synchrony:
     steps_of(rig)
     with side_by_side(threads) as each:
         sounds = list(each(_sound, rig.sources))
-    found, warnings = _without_pictures(rig, sounds)
-    together = joined([camera.name for camera in rig.cameras], rig.timeline.rate, found)
+    estimates, warnings = _without_pictures(rig, sounds)
+    together = merge_estimates([camera.name for camera in rig.cameras], rig.timeline.rate, estimates)
     return replace(together, warnings=(*warnings, *together.warnings))
 
 
-def _without_pictures(rig: Rig, sounds: Sequence[Sound | None]) -> tuple[list[tuple[str, Joint]], tuple[str, ...]]:
+def _without_pictures(
+    rig: Rig, sounds: Sequence[Sound | None]
+) -> tuple[list[tuple[str, StartEstimate]], tuple[str, ...]]:
     """What timecode and sound say, and warnings; nothing of recordings without a rate."""
     if rig.timeline.rate is None:
         return [], ()
     by_timecode, warnings = starts_by_timecode(rig)
     heard, rate = starts_by_sound(rig.cameras, sounds, metres_of(rig.length_unit)), float(rig.timeline.rate)
-    by_sound = Joint(heard.starts * rate, heard.errors * rate, heard.votes)
+    by_sound = StartEstimate(heard.starts * rate, heard.errors * rate, heard.pair_agreement)
     return [(TIMECODE, by_timecode), (AUDIO, by_sound)], warnings
 
 
@@ -136,18 +138,18 @@ def frames_late(cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]
     small = [small_camera(camera) for camera in cameras]
     clips = [(small_grey(picture, to) for picture in own) for own, to in zip(pictures, small, strict=True)]
     moved = starts_by_motion(small, clips, each)
-    starts = np.where(_chances(moved) >= _SURE, whole_if_in_step(moved).starts, np.nan)
-    there = starts[np.isfinite(starts)]
-    ordinary = there[usual(np.round(there).tolist())] if len(there) else 0.0
+    starts = np.where(_chances(moved) >= _LATE_CHANCE, snap_to_trigger(moved).starts, np.nan)
+    finite = starts[np.isfinite(starts)]
+    ordinary = finite[usual(np.round(finite).tolist())] if len(finite) else 0.0
     return ordinary - starts + 0.0  # not -0
 
 
-def is_reliable(joint: Joint) -> NDArray[np.bool_]:
+def is_reliable(joint: StartEstimate) -> NDArray[np.bool_]:
     """Which starts (cameras,) are to be believed: their pairs agree, and the whole frame is likely right."""
-    return np.isfinite(joint.starts) & (joint.votes >= _MIN_VOTES) & (_chances(joint) >= _MIN_CHANCE)
+    return np.isfinite(joint.starts) & (joint.pair_agreement >= _MIN_VOTES) & (_chances(joint) >= _MIN_CHANCE)
 
 
-def whole_if_in_step(joint: Joint) -> Joint:
+def snap_to_trigger(joint: StartEstimate) -> StartEstimate:
     """Starts by motion in whole frames, unless one is clearly between two: so cameras that share a trigger differ.
 
     Unknown ones become NaN.
@@ -162,19 +164,21 @@ def whole_if_in_step(joint: Joint) -> Joint:
     return replace(joint, starts=starts)
 
 
-def joined(names: Sequence[str], rate: Fraction | None, found: Sequence[tuple[str, Joint]]) -> Synchrony:
+def merge_estimates(
+    names: Sequence[str], rate: Fraction | None, estimates: Sequence[tuple[str, StartEstimate]]
+) -> Synchrony:
     """What the ways say together, the first ones first; the earliest camera starts at 0."""
     offsets, methods = np.full(len(names), np.nan), list[str | None]([None] * len(names))
     confidences = np.zeros(len(names))
     warnings: list[str] = []
-    for method, joint in found:
+    for method, joint in estimates:
         says = is_reliable(joint)
         both = says & np.isfinite(offsets)
         if says.sum() < 2 or (np.isfinite(offsets).any() and not both.any()):
             continue
         starts = joint.starts + (np.median((offsets - joint.starts)[both]) if both.any() else 0.0)
         new = says & ~both
-        offsets[new], confidences[new] = starts[new], (joint.votes * _chances(joint))[new]
+        offsets[new], confidences[new] = starts[new], (joint.pair_agreement * _chances(joint))[new]
         warnings += _contradictions(names, methods, offsets, method, starts, both)
         methods = [method if is_new else before for before, is_new in zip(methods, new, strict=True)]
     if np.isfinite(offsets).any():
@@ -198,7 +202,7 @@ def _contradictions(
         )
 
 
-def _chances(joint: Joint) -> F64:
+def _chances(joint: StartEstimate) -> F64:
     """Of a start's being less than half a frame off; 0 where its error is not known."""
     errors = np.where(np.isfinite(joint.errors), np.maximum(joint.errors, 1e-6), np.inf)
     return np.array([math.erf(0.5 / (math.sqrt(2) * error)) for error in errors.tolist()])

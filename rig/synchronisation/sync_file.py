@@ -18,13 +18,13 @@ from .starts import Synchrony
 NAME = "sync.json"
 
 
-def sync_document(found: Synchrony) -> str:
+def sync_document(synchrony: Synchrony) -> str:
     """The file's text."""
     cameras = [
         {"name": each.name, "offset": each.offset, "confidence": each.confidence, "method": each.method}
-        for each in found.cameras
+        for each in synchrony.cameras
     ]
-    return json.dumps({"fps": found.fps, "cameras": cameras}, indent=1) + "\n"
+    return json.dumps({"fps": synchrony.fps, "cameras": cameras}, indent=1) + "\n"
 
 
 def read_starts(path: Path, rig: Rig) -> dict[str, RigTime]:

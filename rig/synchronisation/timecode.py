@@ -15,7 +15,7 @@ from decogs.formats.rigs.rig import more
 from decogs.formats.videos.reading import VideoSource
 from decogs.formats.videos.timecodes import Timecode, read_timecode
 
-from .joint import Joint
+from .joint import StartEstimate
 
 _ERROR = 0.25
 """Numbers of timecode: clocks that are set alike count whole ones, and cameras expose anywhere within one."""
@@ -50,7 +50,7 @@ class _Stamp:
 
 def starts_by_timecode(
     rig: Rig, read: Callable[[Path], Timecode | None] = read_timecode
-) -> tuple[Joint, tuple[str, ...]]:
+) -> tuple[StartEstimate, tuple[str, ...]]:
     """The starts of a rig's recordings, NaN for those without timecode, and what the user should know of it.
 
     Timecodes that all begin an hour were written by an editor, and say nothing. Those that leave numbers out and those
@@ -58,34 +58,34 @@ def starts_by_timecode(
     """
     stamps = list(_stamps(rig, read))
     warnings = list(_unsure(stamps))
-    known = [stamp for stamp in stamps if stamp.count is not None]
+    usable = [stamp for stamp in stamps if stamp.count is not None]
     if all(stamp.timecode.is_full_hour for stamp in stamps):
-        known = []
-    dropping = [stamp for stamp in known if stamp.timecode.is_drop_frame]
-    plain = [stamp for stamp in known if not stamp.timecode.is_drop_frame]
+        usable = []
+    dropping = [stamp for stamp in usable if stamp.timecode.is_drop_frame]
+    plain = [stamp for stamp in usable if not stamp.timecode.is_drop_frame]
     if dropping and plain:
-        known = max(dropping, plain, key=len) if len(dropping) != len(plain) else []
-        warnings.append(_mixed(dropping, plain, known))
+        usable = max(dropping, plain, key=len) if len(dropping) != len(plain) else []
+        warnings.append(_mixed(dropping, plain, usable))
     starts = np.full(len(rig.cameras), np.nan)
     errors = starts.copy()
     names = [camera.name for camera in rig.cameras]
-    for stamp, seconds in zip(known, _seconds(known), strict=True):
+    for stamp, seconds in zip(usable, _seconds(usable), strict=True):
         row = names.index(stamp.camera)
         starts[row] = rig.timeline.time_of(seconds)
         errors[row] = _ERROR * rig.timeline.time_of(stamp.number)
-    return Joint(starts, errors, np.isfinite(starts).astype(np.float64)), tuple(warnings)
+    return StartEstimate(starts, errors, np.isfinite(starts).astype(np.float64)), tuple(warnings)
 
 
 def _stamps(rig: Rig, read: Callable[[Path], Timecode | None]) -> Iterator[_Stamp]:
     """The timecodes of the cameras that have one; what counts every frame of one camera does so in all of its rate."""
-    found = []
+    stamps = []
     for camera, source in zip(rig.cameras, rig.sources, strict=True):
         timecode = read(source.path) if isinstance(source, VideoSource) else None
         if timecode is not None and source.fps is not None and source.frame_count > 1:
-            found.append((camera.name, timecode, source.fps))
-    for name, timecode, fps in found:
+            stamps.append((camera.name, timecode, source.fps))
+    for name, timecode, fps in stamps:
         nominal = round(fps)
-        alike = [other.frames for _, other, rate in found if other.per_second is None and round(rate) == nominal]
+        alike = [other.frames for _, other, rate in stamps if other.per_second is None and round(rate) == nominal]
         counts_all = nominal <= _MOST_NUMBERS or max(alike, default=0) >= nominal / 2
         yield _Stamp(name, timecode, fps, timecode.per_second or (nominal if counts_all else 0))
 
@@ -116,8 +116,8 @@ def _unsure(stamps: Sequence[_Stamp]) -> Iterator[str]:
         )
 
 
-def _mixed(dropping: Sequence[_Stamp], plain: Sequence[_Stamp], known: Sequence[_Stamp]) -> str:
-    unused = [stamp for stamp in (*dropping, *plain) if stamp not in known]
+def _mixed(dropping: Sequence[_Stamp], plain: Sequence[_Stamp], used: Sequence[_Stamp]) -> str:
+    unused = [stamp for stamp in (*dropping, *plain) if stamp not in used]
     return (
         f"camera {dropping[0].camera}{more(dropping)} counts drop-frame timecode, camera "
         f"{plain[0].camera}{more(plain)} does not, so that they run apart by 3.6 s an hour; that of "

@@ -25,7 +25,9 @@ from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.commands import encode_main, join_main, pack_main
+from decogs.encoder.commands import encode_main
+from decogs.encoder.packing.commands import pack_main
+from decogs.encoder.parts.commands import join_main
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.cameras import project
 from decogs.formats.rigs import open_rig

@@ -211,7 +211,7 @@ def test_pictures_without_texture_get_guesses_in_the_shared_space() -> None:
 def test_known_points_take_part_and_are_enough_for_one_camera(arc_pictures: list[Picture]) -> None:
     on_floor = np.random.default_rng(2).uniform(-0.5, 0.5, (50, 3)).astype(np.float32) * (1, 1, 0) + (1.3, 0, 0)
     given = Given(on_floor.astype(np.float32), np.full((50, 3), 255, np.uint8))
-    points = first_points(ARC[4:5], arc_pictures[4:5], known=given, cap=1000)
+    points = first_points(ARC[4:5], arc_pictures[4:5], given=given, cap=1000)
     in_camera = given.xyz @ ARC[4].world_to_camera[:3, :3].T + ARC[4].world_to_camera[:3, 3]
     visible = (np.abs(in_camera[:, :2] / in_camera[:, 2:] * FOCAL) < (WIDTH / 2 - 1, HEIGHT / 2 - 1)).all(axis=1)
     found = {tuple(p) for p in points.xyz}

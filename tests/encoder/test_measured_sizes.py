@@ -14,8 +14,8 @@ import pytest
 from decogs.decoder import open_stream
 from decogs.decoder.rendering.views import render_view
 from decogs.encoder import EncodeReport, FrameReport
-from decogs.encoder.commands import _held_out
 from decogs.encoder.output.progress import frame_line
+from decogs.encoder.stream.summary import _held_out
 from decogs.formats.stream.container import PacketKind, PacketReader
 from encode_rig import encode_rig
 

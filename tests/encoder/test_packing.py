@@ -18,8 +18,8 @@ from decogs.decoder.reading.frame import DecodedFrame
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
 from decogs.encoder import pack
-from decogs.encoder.commands import pack_main
 from decogs.encoder.input.row_matching import mutual_nearest
+from decogs.encoder.packing.commands import pack_main
 from decogs.formats.errors import UsageError
 from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splats import Splats, join_splats, take_splats

@@ -27,7 +27,7 @@ from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.training import selective_densification
 from decogs.encoder.training.method import FrameInput, TrainedFrame
-from decogs.encoder.training.seeding import _confirm, _Found
+from decogs.encoder.training.seeding import _confirm, _Seeds
 from decogs.encoder.training.warm_start import Motion
 from decogs.formats.splats import Splats, empty_splats
 from noting_kernel import NotingKernel
@@ -190,6 +190,6 @@ def test_a_seed_needs_a_second_view_that_ends_there_as_well() -> None:
     views = np.repeat([0, 1], [30, 10])
     count = len(points)
     kept = _confirm(
-        _Found(points, views, np.zeros((count, 3), np.float32), np.full(count, 0.01), np.zeros(count, np.float32)), 1
+        _Seeds(points, views, np.zeros((count, 3), np.float32), np.full(count, 0.01), np.zeros(count, np.float32)), 1
     )
     assert sorted(map(tuple, kept.points)) == sorted(map(tuple, both))

@@ -179,7 +179,7 @@ def test_a_place_in_a_segment_is_counted_from_its_keyframe() -> None:
     for kind in (PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP, PacketKind.KEY, PacketKind.DELTA):
         closed = closed.after(kind, BUDGET)
         opened = opened if kind == PacketKind.KEY and not opened.frames else opened.after(kind, BUDGET)
-        places.append((closed.place, opened.place))
+        places.append((closed.index, opened.index))
     assert places == [(0, 0), (1, 1), (2, 2), (3, 3), (4, 4)]
 
 

@@ -50,8 +50,8 @@ class Audio(Operation):
             x, y, z, _ = (take.header.presentation.similarity.inverse.matrix @ (*self.position, 1.0)).tolist()
             position = (x, y, z)
         tracks[index] = replace(track, title=title, position=position)
-        told = f"audio: track {index}" + (f", {title}" if title else "")
-        return replace(take, header=replace(take.header, sound=tuple(tracks))).with_note(told)
+        note = f"audio: track {index}" + (f", {title}" if title else "")
+        return replace(take, header=replace(take.header, sound=tuple(tracks))).with_note(note)
 
     def _added(self, take: Take, path: Path) -> Take:
         from decogs.formats.sound.tracks import sound_channels, sound_title

@@ -88,12 +88,12 @@ def _cameras_of(file: str, take: Take) -> list[Camera]:
     # A file has them in the world; a header has them where the scene is stored.
     back = header.presentation.similarity.inverse
     called = named or Path(path).stem
-    found = [transformed_camera(camera, back) for camera in read_camera_file(file, film).cameras]
-    if len(found) > MAX_CAMERAS:
-        raise UsageError(f"{file}: has {len(found)} cameras, and a stream at most {MAX_CAMERAS}; add fewer")
-    if len(found) == 1:
-        return [replace(found[0], name=called)]
-    return [replace(camera, name=f"{called}_{number:04d}") for number, camera in enumerate(found)]
+    cameras = [transformed_camera(camera, back) for camera in read_camera_file(file, film).cameras]
+    if len(cameras) > MAX_CAMERAS:
+        raise UsageError(f"{file}: has {len(cameras)} cameras, and a stream at most {MAX_CAMERAS}; add fewer")
+    if len(cameras) == 1:
+        return [replace(cameras[0], name=called)]
+    return [replace(camera, name=f"{called}_{number:04d}") for number, camera in enumerate(cameras)]
 
 
 def _check_unique(cameras: tuple[Camera, ...]) -> None:

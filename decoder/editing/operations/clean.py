@@ -158,8 +158,8 @@ def _neighbours(points: NDArray[np.float64], side: float) -> NDArray[np.int64]:
     around = np.zeros(len(keys), np.int64)
     for offset in product((-1, 0, 1), repeat=3):
         wanted = keys + int(np.array(offset) @ weights)
-        there = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
-        around += np.where(keys[there] == wanted, counts[there], 0)
+        rows = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
+        around += np.where(keys[rows] == wanted, counts[rows], 0)
     return np.asarray(around[which.reshape(-1)] - 1)
 
 

@@ -77,5 +77,6 @@ def _tracks(one: tuple[SoundTrack, ...], other: tuple[SoundTrack, ...]) -> tuple
     """Those of both, one after the other; a decoder makes stereo of a block of one channel."""
     both = zip_longest(one, other)
     return tuple(
-        replace(here or there, channels=max(track.channels for track in (here, there) if track)) for here, there in both
+        replace(first or second, channels=max(track.channels for track in (first, second) if track))
+        for first, second in both
     )

@@ -42,8 +42,8 @@ class Merge(Operation):
             for one, other in zip(both.first.read(start, stop), both.second.read(start, stop), strict=True):
                 if before is None or not (same_scene(before[0], one.state) and same_scene(before[1], other.state)):
                     before = one.state, other.state, _together(one.state, other.state)
-                told: Corrections = {**other.corrections, **one.corrections}
-                yield replace(one, state=before[2], corrections=told)
+                corrections: Corrections = {**other.corrections, **one.corrections}
+                yield replace(one, state=before[2], corrections=corrections)
 
         def hear(start: int, stop: int) -> Iterator[FrameSound]:
             others = renumbered(both.second.hear, len(take.header.sound))

@@ -12,7 +12,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.frames.ranges import frame_range
 
 from ..segments import segment_of
-from ..sound import Played, played
+from ..sound import PlayedSpan, played
 from ..take import Frame, Take
 from .base import Opener, Operation
 
@@ -65,7 +65,7 @@ class Retime(Operation):
             starts=starts,
         ).with_poster(lambda frame: shown.index(frame) if frame in shown else None)
         as_before = header.fps == take.header.fps and [play for _, play in plays] == [
-            Played(frame, frame + 1) for frame in range(take.frame_count)
+            PlayedSpan(frame, frame + 1) for frame in range(take.frame_count)
         ]
         if take.header.sound and header.fps is not None and not as_before:
             sound = played(take, [play for _, play in plays], header.fps)
@@ -102,7 +102,7 @@ class Retime(Operation):
         """Of the options as they are named."""
         return cls(tuple(options.speeds), tuple(options.holds), options.reverse, options.fps)
 
-    def _plays(self, count: int) -> Sequence[tuple[int, Played]]:
+    def _plays(self, count: int) -> Sequence[tuple[int, PlayedSpan]]:
         """The frame of the take that each new one shows, and what it plays; a frame that is held is silent."""
         speeds: list[tuple[float, float, int, int]] = [(1.0, 1.0, 0, count)] * count
         for speed in self.speeds:
@@ -117,7 +117,7 @@ class Retime(Operation):
         for frame, more in longer.items():
             if not 0 <= frame < count or more < 0:
                 raise UsageError(f"retime: a hold of frame {frame} for {more} is not possible; it has 0:{count}")
-        plays: list[tuple[int, Played]] = []
+        plays: list[tuple[int, PlayedSpan]] = []
         position = 0.0
         while position < count:
             frame = int(position)
@@ -128,10 +128,10 @@ class Retime(Operation):
             step = begin + (end - begin) * (position - start) / (stop - start)
             # Where one speed ends, the next begins with its first frame. Ten steps of a tenth are 1, not a little less.
             after = min(round(position + step, _DIGITS), float(stop))
-            plays.append((frame, Played(position, after)))
-            plays += [(frame, Played(after, after))] * (times - 1)
+            plays.append((frame, PlayedSpan(position, after)))
+            plays += [(frame, PlayedSpan(after, after))] * (times - 1)
             position = after
-        return [(frame, Played(play.end, play.begin)) for frame, play in reversed(plays)] if self.reverse else plays
+        return [(frame, PlayedSpan(play.end, play.begin)) for frame, play in reversed(plays)] if self.reverse else plays
 
 
 def _begins(take: Take, shown: Sequence[int], k: int) -> bool:

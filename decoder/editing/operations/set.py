@@ -38,8 +38,8 @@ class Set(Operation):
 
     def edit(self, take: Take, open_other: Opener) -> Take:
         """The same frames under another header. Raises UsageError for a camera or frame that is not there."""
-        header, told = take.header, {name: value for name, value in vars(self).items() if value not in (None, ())}
-        if not told:
+        header, given = take.header, {name: value for name, value in vars(self).items() if value not in (None, ())}
+        if not given:
             raise UsageError("set: nothing is to be set; decogs-edit set --help lists what can be")
         check_names(self.name, header, [name for name, _ in self.near if name])
         check_names(self.name, header, [] if self.first_view is None else [self.first_view])
@@ -51,11 +51,11 @@ class Set(Operation):
             near |= {name: stored} if name else dict.fromkeys(near, stored)
         header = replace(
             header,
-            presentation=replace(header.presentation, **_some(told, _OF_PRESENTATION)),
+            presentation=replace(header.presentation, **_some(given, _OF_PRESENTATION)),
             cameras=tuple(replace(camera, near=near[camera.name]) for camera in header.cameras),
-            **_some(told, _OF_HEADER),
+            **_some(given, _OF_HEADER),
         )
-        return replace(take, header=header).with_note(f"set: {', '.join(told).replace('_', ' ')}")
+        return replace(take, header=header).with_note(f"set: {', '.join(given).replace('_', ' ')}")
 
     @staticmethod
     def add_options(parser: Parser) -> None:
@@ -83,8 +83,8 @@ class Set(Operation):
         return cls(**{**vars(options), "near": tuple(options.near)})
 
 
-def _some(told: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    return {name: told[name] for name in names if name in told}
+def _some(given: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: given[name] for name in names if name in given}
 
 
 def _near(text: str) -> tuple[str, float]:

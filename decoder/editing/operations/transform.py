@@ -54,9 +54,9 @@ class Transform(Operation):
         for axis, degrees in self.turns:
             by = Similarity(_turn(axis, degrees)).after(by)
         by = Similarity(np.eye(3), self.scale, np.array(self.shift)).after(by)
-        told = replace(header.presentation, transform=transform_of(by.after(before)))
+        presentation = replace(header.presentation, transform=transform_of(by.after(before)))
         note = "transform: undone" if by.after(before).is_identity else "transform: one matrix in the header"
-        return replace(take, header=replace(header, presentation=told)).with_note(note)
+        return replace(take, header=replace(header, presentation=presentation)).with_note(note)
 
     @staticmethod
     def add_options(parser: Parser) -> None:

@@ -70,13 +70,13 @@ class CpuOptimiser:
         max_stretch: float = 0.0,
     ) -> None:
         self._steps += 1
-        found = gradients.host()
+        host_gradients = gradients.host()
         # Where sizes are not trained, as in frames that only light changes, none can stretch.
         before = self.splats.log_scales.copy() if max_stretch and rates.log_scales else None
         for name, rate in self._moving(rates):
             self._kernel.adam(
                 getattr(self.splats, name),
-                getattr(found, name),
+                getattr(host_gradients, name),
                 getattr(self._first, name),
                 getattr(self._second, name),
                 rate=rate,

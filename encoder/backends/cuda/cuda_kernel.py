@@ -128,8 +128,8 @@ class CudaKernel:
         if by[0] is None:
             raise ValueError("backward needs a cotangent, or the loss of the last picture")
         moments = self.splatting.moments(drawn, self._lens, by)
-        found = self.splatting.gradients(drawn, self._lens, moments)
-        return found if out is None else found.put_into(out)
+        gradients = self.splatting.gradients(drawn, self._lens, moments)
+        return gradients if out is None else gradients.put_into(out)
 
     def centres(self, count: int) -> tuple[FloatArray, FloatArray]:
         places, depths = centres(self._last(count).all)
@@ -163,8 +163,8 @@ class CudaKernel:
             if renumbered is not None:
                 stays = np.flatnonzero(renumbered >= 0)
                 kept = self.upload(stays), self.upload(renumbered[stays])
-            found = Committed(self.stored(take_splats(scene, rows)), self.upload(rows), kept)
-            self._committed = asked, found
+            commit = Committed(self.stored(take_splats(scene, rows)), self.upload(rows), kept)
+            self._committed = asked, commit
         return self._committed[1]
 
     def _last(self, count: int) -> Drawn:

@@ -29,10 +29,10 @@ def upload(values: NDArray[Any], device: torch.device) -> Tensor:
     """A copy on the device, never a view of the host's memory; nothing waits for it."""
     if device.type != "cuda":
         return torch.tensor(values, device=device)
-    there = torch.empty(values.shape, dtype=torch.from_numpy(np.empty(0, values.dtype)).dtype, device=device)
-    staged = on_host(there)
+    tensor = torch.empty(values.shape, dtype=torch.from_numpy(np.empty(0, values.dtype)).dtype, device=device)
+    staged = on_host(tensor)
     staged.numpy()[...] = values
-    return there.copy_(staged, non_blocking=True)
+    return tensor.copy_(staged, non_blocking=True)
 
 
 def read(values: Tensor) -> NDArray[Any]:
@@ -55,9 +55,9 @@ class Resident(Generic[S, T]):
 
     def of(self, source: S) -> T:
         """The same for the same object."""
-        known = self._made.get(id(source))
-        if known is not None and known[0]() is source:
-            return known[1]
+        cached = self._made.get(id(source))
+        if cached is not None and cached[0]() is source:
+            return cached[1]
         key, all_made = id(source), self._made
         made = self._make(source)
         all_made[key] = (weakref.ref(source, lambda _: all_made.pop(key, None)), made)

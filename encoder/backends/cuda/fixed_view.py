@@ -149,8 +149,8 @@ class CudaFixedView:
             raise ValueError("backward needs a draw before it, and the draw's loss or a cotangent")
         splatting, lens = self._kernel.splatting, self._lens
         moments = splatting.moments(self._drawn, lens, (cotangent, None, None), self._changing, self._tiles)
-        found = splatting.gradients(self._drawn, lens, moments)
-        return found if out is None else found.put_into(out)
+        gradients = splatting.gradients(self._drawn, lens, moments)
+        return gradients if out is None else gradients.put_into(out)
 
     def commit(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
         checked_rows(rows, len(scene))
@@ -168,9 +168,9 @@ class CudaFixedView:
         self._forget()
 
     def squared_error(self, picture: FloatArray, counted: FloatArray | None = None) -> float:
-        there, weights = self._kernel.brought(picture, counted)
-        assert there is not None
-        square = (self._planes.rgb.clamp(0, 1) - there) ** 2
+        target, weights = self._kernel.brought(picture, counted)
+        assert target is not None
+        square = (self._planes.rgb.clamp(0, 1) - target) ** 2
         if weights is not None:
             square = square * weights
         total = float(read(square.sum(dtype=torch.float64)))

@@ -40,9 +40,9 @@ class DeviceGradients:
 
     def put_into(self, out: SplatGradients) -> SplatGradients:
         """The same in the host's arrays ``out``."""
-        found = self.host()
+        arrays = self.host()
         for name in NAMES:
-            getattr(out, name)[:] = getattr(found, name)
+            getattr(out, name)[:] = getattr(arrays, name)
         return out
 
 
@@ -50,8 +50,8 @@ def tensors_of(gradients: Gradients, device: torch.device) -> dict[str, Tensor]:
     """Gradients as tensors: where they are, or uploaded."""
     if isinstance(gradients, DeviceGradients):
         return gradients.tensors
-    found = gradients.host()
-    return {name: upload(getattr(found, name), device) for name in NAMES}
+    arrays = gradients.host()
+    return {name: upload(getattr(arrays, name), device) for name in NAMES}
 
 
 class CudaViewGradients:

@@ -46,7 +46,7 @@ def kernel_source() -> str:
         seen.add(name)
         path = next(path for folder in folders if (path := folder / name).exists())
         text = re.sub(r"^#pragma once$|^#include <.*>$", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-        return re.sub(r'^#include "(.*)"$', lambda found: text_of(found[1]), text, flags=re.MULTILINE)
+        return re.sub(r'^#include "(.*)"$', lambda include: text_of(include[1]), text, flags=re.MULTILINE)
 
     return text_of("lane.h") + text_of("splatting.cu")
 

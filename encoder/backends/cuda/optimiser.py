@@ -81,7 +81,7 @@ class CudaOptimiser:
         self._steps, self._read = self._steps + 1, None
         if not len(self):
             return
-        found = tensors_of(gradients, self._device)
+        tensors = tensors_of(gradients, self._device)
         step = _AdamStep(
             self._beta1,
             self._beta2,
@@ -92,15 +92,15 @@ class CudaOptimiser:
             ATTRIBUTES.index("log_scales"),
         )
         blocks = -(-len(self) // THREADS), len(ATTRIBUTES)
-        trained = [self._trained(name, found, rates) for name in ATTRIBUTES]
+        trained = [self._trained(name, tensors, rates) for name in ATTRIBUTES]
         self._kernels.launch("adam", blocks, *trained, len(self), step)
 
-    def _trained(self, name: str, found: Tensors, rates: LearningRates) -> _Trained:
+    def _trained(self, name: str, gradients: Tensors, rates: LearningRates) -> _Trained:
         """An attribute for the kernel, null where its rate is 0."""
         rate, few_rate = (rates.sh_rest, rates.sh_dc) if name == "sh" else (getattr(rates, name), 0.0)
         if not (rate or few_rate):
             return _Trained()
-        pointers = [each[name].data_ptr() for each in (self.values, found, self._first, self._second)]
+        pointers = [each[name].data_ptr() for each in (self.values, gradients, self._first, self._second)]
         frozen, kept = (each.data_ptr() for each in self._frozen[name]) if name in self._frozen else (None, None)
         columns = self.values[name][0].numel()
         return _Trained(*pointers, frozen, kept, columns, 3 if name == "sh" else 0, rate, few_rate)

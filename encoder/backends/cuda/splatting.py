@@ -214,11 +214,11 @@ class Splatting:
         ends = torch.cumsum(counts, 0, dtype=torch.int64)
         capacity = lens.room.for_pairs(ends, lens.tiles, lens.camera)
         keys = torch.empty(capacity, dtype=torch.int64, device=self._device)
-        found = Lists(ends, keys, torch.empty(capacity, dtype=torch.int32, device=self._device))
-        native = found.native()
+        lists = Lists(ends, keys, torch.empty(capacity, dtype=torch.int32, device=self._device))
+        native = lists.native()
         launch("list_pairs", blocks, projected, count, lens.grid, needed, counts, native, lens.room.seen)
         launch("sort_tiles", (lens.tiles,), native)
-        return found
+        return lists
 
     def composite(
         self, projected: Tensor, lens: Lens, lists: Lists, planes: Planes, tiles: TilesToDraw | None = None
@@ -262,12 +262,12 @@ class Splatting:
 
     def gradients(self, drawn: Drawn, lens: Lens, moments: Tensor) -> DeviceGradients:
         """Of the stored values, from `moments`; zero for what is not drawn."""
-        found = DeviceGradients.room_for(drawn.stored.tensors)
+        gradients = DeviceGradients.room_for(drawn.stored.tensors)
         if len(drawn.stored):
-            native = _Gradients.to(*found.tensors.values())
+            native = _Gradients.to(*gradients.tensors.values())
             arguments = (drawn.stored.native(), lens.native, drawn.rows, drawn.all, moments, native)
             self.kernels.launch("backward_project", _blocks(len(drawn.stored)), *arguments)
-        return found
+        return gradients
 
 
 def blank(count: int, device: torch.device) -> Tensor:

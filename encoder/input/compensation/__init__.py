@@ -110,12 +110,12 @@ class Corrector:
             rotations[name] = self._measure(name, recorded, render).rotation
             straight[number] = undo_turn(recorded[number], view.pinhole, rotations[name])
         shifts = self._own_shifts(memory.surface, straight, render) if self._has_colours else {}
-        found = {
+        corrections = {
             name: self._correction(name, _Drift(shifts.get(name, _NO_SHIFT), rotations[name])) for name in self._named
         }
         for name, kind in memory.dropped:
-            found[name] = _as_at_first(memory, name, kind, found[name])
-        return found
+            corrections[name] = _as_at_first(memory, name, kind, corrections[name])
+        return corrections
 
     def judge(
         self,
@@ -224,10 +224,12 @@ class Corrector:
         rendered = [render(number) for number in range(len(pictures))]
         changes = shared_changes(surface, pictures, rendered)
         names, total = list(self._views), changes.shifts + changes.common
-        own = {name: shift for name, shift, known in zip(names, total, changes.known, strict=True) if known}
+        own = {
+            name: shift for name, shift, reference in zip(names, total, changes.has_overlap, strict=True) if reference
+        }
         alone = {} if len(own) == len(names) else self._shifts_of_pictures(pictures, rendered)
-        known = own or alone
-        light = self._neutral(known, _light_of)
+        reference = own or alone
+        light = self._neutral(reference, _light_of)
         rest = self._neutral(alone, _light_of) if alone else light
         return {
             name: LogitShift(own[name] - light if name in own else alone[name] - rest, np.ones(3)) for name in names

@@ -63,24 +63,24 @@ class SharedSurface:
     def colours(self, number: int, picture: FloatArray) -> FloatArray:
         """The mean colours (P, 3) around the points in a view's picture (3, H, W); black where it sees none."""
         height, width = picture.shape[1:]
-        found = np.zeros((self.seen.shape[1], 3), np.float32)
-        there = self.seen[number]
-        rows = np.clip(self.row[number, there, None] + _COLOUR_WINDOW[0], 0, height - 1)
-        columns = np.clip(self.column[number, there, None] + _COLOUR_WINDOW[1], 0, width - 1)
-        found[there] = picture[:, rows, columns].mean(axis=2).T
-        return found
+        colours = np.zeros((self.seen.shape[1], 3), np.float32)
+        seen = self.seen[number]
+        rows = np.clip(self.row[number, seen, None] + _COLOUR_WINDOW[0], 0, height - 1)
+        columns = np.clip(self.column[number, seen, None] + _COLOUR_WINDOW[1], 0, width - 1)
+        colours[seen] = picture[:, rows, columns].mean(axis=2).T
+        return colours
 
 
 class SharedChanges(NamedTuple):
     """How later pictures differ from the renderings, as logit shifts.
 
     ``shifts`` (V, 3): the views' own, up to a common one. ``common`` (3,): the median of the rest at the points.
-    ``known`` (V,): views that share enough points with others.
+    ``has_overlap`` (V,): views that share enough points with others.
     """
 
     shifts: F64
     common: F64
-    known: NDArray[np.bool_]
+    has_overlap: NDArray[np.bool_]
 
 
 def shared_surface(views: Sequence[View], draw: DrawView) -> SharedSurface:
@@ -89,8 +89,8 @@ def shared_surface(views: Sequence[View], draw: DrawView) -> SharedSurface:
     samples = _LATER_POINTS // len(views)
     points = np.concatenate([_surface(view, depth, samples) for view, depth in zip(views, depths, strict=True)])
     pixels = [_pixels(view, depth, points) for view, depth in zip(views, depths, strict=True)]
-    row, column = (np.stack([found[k] for found in pixels]).astype(np.int64) for k in range(2))
-    seen = np.stack([there for _, _, there in pixels])
+    row, column = (np.stack([of_view[k] for of_view in pixels]).astype(np.int64) for k in range(2))
+    seen = np.stack([inside for _, _, inside in pixels])
     several = seen.sum(axis=0) > 1
     return SharedSurface(row[:, several], column[:, several], seen[:, several])
 
@@ -106,14 +106,14 @@ def shared_changes(
         for side in (pictures, rendered)
     )
     for channel in range(3):
-        known = surface.seen & unclipped(now[..., channel]) & unclipped(before[..., channel])
-        known &= known.sum(axis=0) > 1
-        enough[:, channel] = known.sum(axis=1) >= _MIN_SHARED_POINTS
+        usable = surface.seen & unclipped(now[..., channel]) & unclipped(before[..., channel])
+        usable &= usable.sum(axis=0) > 1
+        enough[:, channel] = usable.sum(axis=1) >= _MIN_SHARED_POINTS
         if not enough[:, channel].any():
             continue
-        v, s = (np.where(known, side[..., channel], np.float32(0.5)) for side in (now, before))
+        v, s = (np.where(usable, side[..., channel], np.float32(0.5)) for side in (now, before))
         logs, slope = logit(v) - logit(s), s * (1 - s)
-        solved, weights = _solved(logs, slope, known)
+        solved, weights = _solved(logs, slope, usable)
         shifts[:, channel] = solved
         total = weights.sum(axis=0)
         left = (weights * (logs - solved[:, None].astype(np.float32))).sum(axis=0)[total > 0] / total[total > 0]
@@ -136,8 +136,8 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw:
         _colours(view, cv2.blur(picture.transpose(1, 2, 0), (3, 3)), depth, points)
         for view, picture, depth in zip(views, pictures, depths, strict=True)
     ]
-    values, known = np.stack([colours for colours, _ in seen]), np.stack([there for _, there in seen])
-    solved = [_channel_shifts(values[..., channel], known & unclipped(values[..., channel])) for channel in range(3)]
+    values, inside = np.stack([colours for colours, _ in seen]), np.stack([visible for _, visible in seen])
+    solved = [_channel_shifts(values[..., channel], inside & unclipped(values[..., channel])) for channel in range(3)]
     return [LogitShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
 
 
@@ -170,8 +170,8 @@ def _surface(view: View, depth: FloatArray, samples: int) -> F64:
         grid.ravel() for grid in np.mgrid[step // 2 : camera.height : step, step // 2 : camera.width : step]
     )
     z = depth[rows, columns].astype(np.float64)
-    there = np.isfinite(z)
-    z, rows, columns = z[there], rows[there], columns[there]
+    finite = np.isfinite(z)
+    z, rows, columns = z[finite], rows[finite], columns[finite]
     x, y = ray_slopes(camera, columns + 0.5, rows + 0.5)
     pose = camera.world_to_camera
     return turned(pose[:3, :3].T, np.stack([x * z, y * z, z], axis=1) - pose[:3, 3])
@@ -196,22 +196,22 @@ def _pixels(view: View, depth: FloatArray, points: F64) -> tuple[F64, F64, NDArr
     return np.where(inside, v, 0), np.where(inside, u, 0), inside
 
 
-def _channel_shifts(values: FloatArray, known: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Shift and precision of every view, from values (V, P) of points that it sees where ``known``."""
-    known = known & (known.sum(axis=0) > 1)
-    if not known.any():
+def _channel_shifts(values: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Shift and precision of every view, from values (V, P) of points that it sees where ``usable``."""
+    usable = usable & (usable.sum(axis=0) > 1)
+    if not usable.any():
         return [(0.0, 0.0)] * len(values)
-    inside = np.where(known, values, np.float32(0.5))
-    shifts, weights = _solved(logit(inside), inside * (1 - inside), known)
+    inside = np.where(usable, values, np.float32(0.5))
+    shifts, weights = _solved(logit(inside), inside * (1 - inside), usable)
     return list(zip(shifts.tolist(), weights.sum(axis=1, dtype=np.float64).tolist(), strict=True))
 
 
-def _solved(logs: FloatArray, slope: FloatArray, known: NDArray[np.bool_]) -> tuple[F64, FloatArray]:
-    """Every view's shift (V,) of the logits (V, P) of points that it sees where ``known``, and their weights.
+def _solved(logs: FloatArray, slope: FloatArray, usable: NDArray[np.bool_]) -> tuple[F64, FloatArray]:
+    """Every view's shift (V,) of the logits (V, P) of points that it sees where ``usable``, and their weights.
 
     ``slope``: of the colour over its logit. Robust least squares; each point's own logit is eliminated.
     """
-    weights = np.square(slope) * known
+    weights = np.square(slope) * usable
     shifts = np.zeros(len(logs))
     for _ in range(_SOLVER_ROUNDS):
         total = np.maximum(weights.sum(axis=0), np.float32(1e-9))
@@ -223,8 +223,8 @@ def _solved(logs: FloatArray, slope: FloatArray, known: NDArray[np.bool_]) -> tu
         shifts = np.linalg.solve(normal + scale * (1 / len(logs) + 1e-6 * np.eye(len(logs))), right)
         corrected = logs - shifts[:, None].astype(np.float32)
         errors = slope * (corrected - (weights * corrected).sum(axis=0) / total)
-        weights = np.square(slope) * known
-        weights[known] *= tukey_weights(errors[known])
+        weights = np.square(slope) * usable
+        weights[usable] *= tukey_weights(errors[usable])
     return shifts, weights
 
 

@@ -59,11 +59,11 @@ class Benefit:
         )
         sums = []
         for where in (~changed, changed):
-            there = _block_sums(where.astype(np.float64)) > 0
-            gains = _block_sums(np.where(where, others - mine, 0))[there]
+            occupied = _block_sums(where.astype(np.float64)) > 0
+            gains = _block_sums(np.where(where, others - mine, 0))[occupied]
             sums.append((gains.sum(), np.square(gains).sum(), float(others[where].sum()), len(gains)))
-        known = (self.gained, self.squares, self.error, self.blocks)
-        seen = (_SUMS_DECAY * old + new for old, new in zip(known, np.transpose(sums), strict=True))
+        sums_before = (self.gained, self.squares, self.error, self.blocks)
+        seen = (_SUMS_DECAY * old + new for old, new in zip(sums_before, np.transpose(sums), strict=True))
         gained, squares, error, blocks = seen
         return Benefit(gained, squares, error, blocks, self.frames + 1)
 

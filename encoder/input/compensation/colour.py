@@ -48,10 +48,8 @@ def logit_shift(recorded: FloatArray, rendered: FloatArray, valid: FloatArray | 
     """
     step = max(1, round(np.sqrt(rendered[0].size / _GRID_PIXELS)))
     grid = np.s_[::step, ::step]
-    known = None if valid is None else valid[grid] > 0
-    pairs = [
-        _channel_shift(recorded[channel][grid], rendered[channel][grid], known) for channel in range(len(rendered))
-    ]
+    mask = None if valid is None else valid[grid] > 0
+    pairs = [_channel_shift(recorded[channel][grid], rendered[channel][grid], mask) for channel in range(len(rendered))]
     return LogitShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
 
 
@@ -74,11 +72,11 @@ def remove_gain(picture: FloatArray, odds_gain: tuple[float, float, float]) -> F
     return np.ascontiguousarray(planes.transpose(2, 0, 1))
 
 
-def _channel_shift(recorded: FloatArray, rendered: FloatArray, known: NDArray[np.bool_] | None) -> tuple[float, float]:
+def _channel_shift(recorded: FloatArray, rendered: FloatArray, mask: NDArray[np.bool_] | None) -> tuple[float, float]:
     """Gauss-Newton on the corrected picture; weighed by the scene's value, so that recorded noise has no bias."""
     inside = unclipped(recorded) & unclipped(rendered)
-    if known is not None:
-        inside &= known
+    if mask is not None:
+        inside &= mask
     if not inside.any():
         return 0.0, 0.0
     v, s = recorded[inside], rendered[inside]

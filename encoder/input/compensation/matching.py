@@ -40,12 +40,12 @@ def find_colours(
     counts = seen.sum(axis=0) >= _MIN_POINT_VIEWS
     points, seen = xyz[counts].astype(np.float64), seen[:, counts]
     values = np.stack([_colours(view, picture, points) for view, picture in zip(views, pictures, strict=True)])
-    shifts, known = shifts_of_points(values, seen)
-    if not known.any():
+    shifts, has_overlap = shifts_of_points(values, seen)
+    if not has_overlap.any():
         return {}
-    own = np.where(known[:, None], shifts - np.median(shifts[known], axis=0), 0)
-    found = {view.camera.name: _correction(shift) for view, shift in zip(views, own, strict=True)}
-    return {name: correction for name, correction in found.items() if correction.is_coloured}
+    own = np.where(has_overlap[:, None], shifts - np.median(shifts[has_overlap], axis=0), 0)
+    corrections = {view.camera.name: _correction(shift) for view, shift in zip(views, own, strict=True)}
+    return {name: correction for name, correction in corrections.items() if correction.is_coloured}
 
 
 def _colours(view: View, picture: FloatArray, points: NDArray[np.float64]) -> FloatArray:

@@ -61,10 +61,10 @@ def estimate_turn(recorded: FloatArray, rendered: FloatArray, camera: Camera, va
         if level < 1 and min(small.width, small.height) < _MIN_SIDE_PIXELS:
             continue
         target, source = resized(rendered, small), resized(recorded, small)
-        known = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
+        mask = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
         columns = _flow_gradients(target, small)
         for _ in range(_STEPS_PER_LEVEL):
-            step = _step(undo_turn(source, small, rotation) - target, columns, known)
+            step = _step(undo_turn(source, small, rotation) - target, columns, mask)
             rotation = _product(_exponential(step), rotation)
     return rotation
 
@@ -76,11 +76,11 @@ def angles_of(rotation: F64) -> tuple[float, float, float]:
     return float(yaw), float(pitch), float(np.arctan2(rotation[1, 0], rotation[1, 1]))
 
 
-def _step(error: FloatArray, columns: list[FloatArray], known: NDArray[np.bool_] | None) -> F64:
+def _step(error: FloatArray, columns: list[FloatArray], mask: NDArray[np.bool_] | None) -> F64:
     """The turn, as a vector, that explains most of the error; sums in a fixed order, so that no BLAS decides bits."""
     weights = tukey_weights(error)
-    if known is not None:
-        weights = weights * known
+    if mask is not None:
+        weights = weights * mask
     normal = np.array([[(weights * a * b).sum(dtype=np.float64) for b in columns] for a in columns])
     right = np.array([(weights * a * error).sum(dtype=np.float64) for a in columns])
     # A view without texture says nothing about some turn: it then stays at none.

@@ -104,7 +104,7 @@ def first_points(
     pictures: Sequence[NDArray[np.float32]],
     *,
     recorded: Sequence[NDArray[np.bool_] | None] = (),
-    known: KnownPoints | None = None,
+    given: KnownPoints | None = None,
     cap: int,
     within: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
     seed: int = 0,
@@ -112,8 +112,8 @@ def first_points(
 ) -> FirstPoints:
     """At most ``cap`` coloured points on the surfaces the training views see, spread evenly over the pictures.
 
-    ``cameras``: pinhole; ``pictures``: (H, W, 3) RGB 0..1 of the same cameras, and their pixels that
-    were ``recorded``, (H, W), where that is not all; ``known``: points to use as well.
+    ``cameras``: pinhole; ``pictures``: (H, W, 3) RGB 0..1 of the same cameras, and their pixels that were ``recorded``,
+    (H, W), where that is not all; ``given``: points to use as well.
     ``within``: which points (P, 3) may be ones; then nothing is guessed beside them. The
     result depends on ``seed`` (guesses where views stay empty), not on ``threads`` (0: all cores). Cameras whose views
     share nothing give guesses only. Raises TrainingError if there are neither known points nor two cameras in two
@@ -129,14 +129,14 @@ def first_points(
             raise TrainingError(f"{camera.name}: first points need undistorted pictures and a pinhole camera")
     with side_by_side(threads) as each:
         recorded = recorded or [None] * len(cameras)
-        return _first_points(cameras, pictures, recorded, known, cap, within, np.random.default_rng(seed), each)
+        return _first_points(cameras, pictures, recorded, given, cap, within, np.random.default_rng(seed), each)
 
 
 def _first_points(
     cameras: Sequence[Camera],
     pictures: Sequence[Array],
     recorded: Sequence[NDArray[np.bool_] | None],
-    known: KnownPoints | None,
+    given: KnownPoints | None,
     cap: int,
     within: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None,
     random: np.random.Generator,
@@ -144,8 +144,8 @@ def _first_points(
 ) -> FirstPoints:
     coarse = list(each(make_view, cameras, pictures, _scales(cameras, _COARSE_PIXELS, np.inf), recorded))
     fine = list(each(make_view, cameras, pictures, _scales(cameras, _FINE_PIXELS, _ALL_FINE_PIXELS), recorded))
-    given = _known_cloud(known, fine)
-    if rig_size(fine) <= 0 and not len(given):
+    given_cloud = _given_cloud(given, fine)
+    if rig_size(fine) <= 0 and not len(given_cloud):
         raise TrainingError(
             "training cameras in one place give no depth: use cameras in two places, or a rig with known points"
         )
@@ -153,14 +153,14 @@ def _first_points(
     shared = shared_depths(coarse)
     samples = [points_within(view, depths) for view, depths in zip(coarse, shared, strict=True)]
     rough, _ = _sweep_all(each, coarse, shared, samples)
-    everything = np.concatenate([*(c.xyz for c in rough), given.xyz])
+    everything = np.concatenate([*(c.xyz for c in rough), given_cloud.xyz])
     ranges = [depths_of(view, c.xyz, everything, at) for view, c, at in zip(fine, rough, shared, strict=True)]
     samples = [likely_points(view, everything, depths) for view, depths in zip(fine, ranges, strict=True)]
     candidates, maps = _sweep_all(each, fine, ranges, samples)
     all_depths = [_view_depths(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
 
     stride = max(1, int((sum(len(c) for c in candidates) / (_CANDIDATES_PER_POINT * cap)) ** 0.5))
-    clouds = [given, *(thin_candidates(c, stride) for c in candidates)]
+    clouds = [given_cloud, *(thin_candidates(c, stride) for c in candidates)]
     clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, all_depths, strict=True)]
     proposed = join(clouds)
     proposed = take(proposed, ~too_near(proposed, all_depths, _HOUSING_DEPTH_FRACTION))
@@ -228,17 +228,17 @@ def _view_depths(
     return ViewDepths(view, depths, depth_map.inverse_depth, confirmed, nearest)
 
 
-def _known_cloud(known: KnownPoints | None, views: Sequence[SweepView]) -> Cloud:
+def _given_cloud(given: KnownPoints | None, views: Sequence[SweepView]) -> Cloud:
     """The given points as a cloud; their spacing is a pixel of the nearest view that sees them."""
-    if known is None or not len(known.xyz):
+    if given is None or not len(given.xyz):
         return empty_cloud()
-    xyz = np.asarray(known.xyz, np.float64)
+    xyz = np.asarray(given.xyz, np.float64)
     spacing = np.full(len(xyz), np.inf)
     for view in views:
         u, v, depth = project(view, xyz)
         seen = inside(view, u, v) & (depth > 0)
         spacing[seen] = np.minimum(spacing[seen], depth[seen] / view.focal)
-    rgb = floats(known.rgb) / np.float32(255)
+    rgb = floats(given.rgb) / np.float32(255)
     cloud = Cloud(xyz, rgb, floats(spacing), np.ones(len(xyz), np.float32))
     return take(cloud, np.isfinite(spacing) & np.isfinite(xyz).all(axis=1))
 

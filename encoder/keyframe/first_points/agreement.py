@@ -111,10 +111,10 @@ def _similarities(view: SweepView, others: Sequence[SweepView], projections: Seq
     scores = np.empty((len(others), view.height, view.width), np.float32)
     for k, (other, projection) in enumerate(zip(others, projections, strict=True)):
         warped = _sample(other.centred, projection.u, projection.v, 0.0)
-        mean_there = cv2.blur(warped, window)
-        variance_there = cv2.blur(warped * warped, window) - mean_there * mean_there + _NOISE_VARIANCE
-        covariance = cv2.blur(view.centred * warped, window) - mean * mean_there + _NOISE_VARIANCE
-        scores[k] = covariance / np.sqrt(np.maximum(variance * variance_there, _NOISE_VARIANCE**2))
+        other_mean = cv2.blur(warped, window)
+        other_variance = cv2.blur(warped * warped, window) - other_mean * other_mean + _NOISE_VARIANCE
+        covariance = cv2.blur(view.centred * warped, window) - mean * other_mean + _NOISE_VARIANCE
+        scores[k] = covariance / np.sqrt(np.maximum(variance * other_variance, _NOISE_VARIANCE**2))
         scores[k][~_within(other, projection.u, projection.v)] = -1
     return scores
 
@@ -182,9 +182,9 @@ def agree(
         valid = (seen > 0) & (projection.depth > 0) & _within(views[j], projection.u, projection.v)
         pixels = (projection.depth * seen - 1) * (_sideways(view, views[j]) / np.maximum(projection.depth, 1e-12))
         same = valid & (np.abs(pixels) <= _MAX_SHIFT_PIXELS)
-        there = np.divide(1.0, seen, out=np.zeros_like(seen), where=same) - np.float32(projection.shift)
-        same &= there > 0
-        total += np.divide(projection.base, there, out=np.zeros_like(seen), where=same)
+        denominator = np.divide(1.0, seen, out=np.zeros_like(seen), where=same) - np.float32(projection.shift)
+        same &= denominator > 0
+        total += np.divide(projection.base, denominator, out=np.zeros_like(seen), where=same)
         count += same
         through += valid & (pixels < -3 * _MAX_SHIFT_PIXELS)
     inverse_depth = total / (count + 1)

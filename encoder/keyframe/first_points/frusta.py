@@ -85,8 +85,8 @@ def shared_depths(views: Sequence[SweepView]) -> list[DepthRange | None]:
         shared = seen.mean(axis=1) >= _MIN_OVERLAP
         weight_at = weight.mean(axis=1)
         shared &= (weight_at >= _PEAK_FRACTION * weight_at.max()) | (np.arange(_SAMPLED_DEPTHS) > weight_at.argmax())
-        found = np.flatnonzero(shared)
-        ranges.append(DepthRange(float(depths[found[0]]), float(depths[found[-1]])) if found.size else None)
+        indices = np.flatnonzero(shared)
+        ranges.append(DepthRange(float(depths[indices[0]]), float(depths[indices[-1]])) if indices.size else None)
     return ranges
 
 

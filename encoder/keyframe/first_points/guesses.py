@@ -48,22 +48,22 @@ def guess_points(
 
     ``pixels``: distance between the points of ``cloud`` in a picture. Also which ones are continued, (P,).
     """
-    found, continued = [empty_cloud()], [np.zeros(0, np.bool_)]
+    clouds, continued = [empty_cloud()], [np.zeros(0, np.bool_)]
     if not len(cloud):
         size = rig_size([view_depths.view for view_depths in all_depths]) or 1.0
         each = max(1, _GUESSES_WITHOUT_POINTS // len(all_depths))
         for view_depths in all_depths:
             depths = view_depths.depths or DepthRange(size / 2, size * 5)
-            found.append(random_in_frustum(view_depths.view, depths, each, random))
-        guesses = join(found)
+            clouds.append(random_in_frustum(view_depths.view, depths, each, random))
+        guesses = join(clouds)
         return guesses, np.zeros(len(guesses), np.bool_)
     for view_depths in all_depths:
-        surfaces, others = fill_empty_cells(view_depths, join([cloud, *found]), pixels, random)
+        surfaces, others = fill_empty_cells(view_depths, join([cloud, *clouds]), pixels, random)
         guess = join([surfaces, others])
         right = ~((look_from_all(guess, all_depths).through > 0) | too_near(guess, all_depths, _MIN_DEPTH_FRACTION))
-        found.append(take(guess, right))
+        clouds.append(take(guess, right))
         continued.append((np.arange(len(guess)) < len(surfaces))[right])
-    return join(found), np.concatenate(continued)
+    return join(clouds), np.concatenate(continued)
 
 
 def cell_counts(view: SweepView, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -115,20 +115,20 @@ def fill_empty_cells(
     empty = np.argwhere((cell_counts(view, cloud.xyz) == 0) & _recorded_cells(view))
     if not len(empty):
         return empty_cloud(), empty_cloud()
-    known = view_depths.confirmed
-    if known is None or np.count_nonzero(known) < _OWN_DEPTHS_FRACTION * view.pixels:
-        known = projected_depths(view, cloud.xyz)
-    filled = fill_depths(known)
-    doubt = 1 - min(1.0, np.count_nonzero(known) / (_SUFFICIENT_FRACTION * view.pixels))
-    goes_on = continues(known) if doubt == 0 else np.zeros(known.shape, np.bool_)
+    inverse_depths = view_depths.confirmed
+    if inverse_depths is None or np.count_nonzero(inverse_depths) < _OWN_DEPTHS_FRACTION * view.pixels:
+        inverse_depths = projected_depths(view, cloud.xyz)
+    filled = fill_depths(inverse_depths)
+    doubt = 1 - min(1.0, np.count_nonzero(inverse_depths) / (_SUFFICIENT_FRACTION * view.pixels))
+    goes_on = continues(inverse_depths) if doubt == 0 else np.zeros(inverse_depths.shape, np.bool_)
     continued = _continued(view, empty, filled, goes_on, pixels, random) if goes_on.any() else empty_cloud()
 
     column, row = _pixels_of(view, empty, min((CELL_PIXELS / (_GUESS_SPACING * pixels)) ** 2, 4.0), random)
     column, row = column[~goes_on[row, column]], row[~goes_on[row, column]]
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
     inverse = filled[row, column] * np.exp(scatter * random.standard_normal(len(row)))
-    if view_depths.swept is not None and known.any():
-        low, high = np.percentile(known[known > 0], [1, 99])
+    if view_depths.swept is not None and inverse_depths.any():
+        low, high = np.percentile(inverse_depths[inverse_depths > 0], [1, 99])
         own = view_depths.swept[row, column]
         use = (random.random(len(row)) < _SWEEP_DEPTH_FRACTION) & (own > 0.8 * low) & (own < 1.1 * high)
         inverse[use] = own[use]

@@ -100,9 +100,9 @@ class CacheKernel:
 
     def place(self, means: FloatArray) -> NDArray[np.int64]:
         """Fixes where the grid is read; returns the table entries (R,) read there, ascending over all levels."""
-        found = ctypes.c_int64()
-        self._library.decogs_cache_place(self._handle, len(means), means.ctypes.data, ctypes.byref(found))
-        entries = np.empty(found.value, np.int64)
+        entry_count = ctypes.c_int64()
+        self._library.decogs_cache_place(self._handle, len(means), means.ctypes.data, ctypes.byref(entry_count))
+        entries = np.empty(entry_count.value, np.int64)
         self._library.decogs_cache_entries(self._handle, entries.ctypes.data)
         return entries
 

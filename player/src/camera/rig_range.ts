@@ -15,7 +15,7 @@ const LARGEST_GAP = (100 * Math.PI) / 180;
 const SWAY = 0.6;
 const [LEAST_SWAY, MOST_SWAY] = [(4 * Math.PI) / 180, (20 * Math.PI) / 180];
 
-interface Place {
+interface Orbit {
   readonly around: number;
   readonly climb: number;
   readonly distance: number;
@@ -39,7 +39,7 @@ export class RigRange {
     const aside = Math.abs(up[0]) < 0.9 ? ([1, 0, 0] as const) : ([0, 1, 0] as const);
     const right = unit(cross(up, aside));
     this.axes = [right, cross(up, right)];
-    const positions = poses.map(({ centre }) => this.placeOf(centre));
+    const positions = poses.map(({ centre }) => this.orbitOf(centre));
     const around = positions.map((position) => position.around).sort((a, b) => a - b);
     const gaps = around.map((angle, i) => (i > 0 ? angle - around[i - 1] : angle + 2 * Math.PI - around[around.length - 1]));
     const widest = gaps.reduce((most, gap) => Math.max(most, gap));
@@ -55,7 +55,7 @@ export class RigRange {
 
   /** How far a place lies outside of what is allowed; 0 inside. */
   outside(centre: Vector): number {
-    const { around, climb, distance } = this.placeOf(centre);
+    const { around, climb, distance } = this.orbitOf(centre);
     const beyond = (value: number, low: number, high: number): number => Math.max(0, low - value, value - high);
     const aside = this.allAround ? 0 : beyond(Math.abs(turned(around - this.middle)), 0, this.half + MARGIN);
     const above = beyond(climb, this.climbs[0] - MARGIN, this.climbs[1] + MARGIN);
@@ -64,11 +64,11 @@ export class RigRange {
 
   /** Radians to either side that a view from there may sway. */
   sway(centre: Vector): number {
-    const room = this.allAround ? MOST_SWAY : this.half - Math.abs(turned(this.placeOf(centre).around - this.middle));
+    const room = this.allAround ? MOST_SWAY : this.half - Math.abs(turned(this.orbitOf(centre).around - this.middle));
     return Math.min(MOST_SWAY, Math.max(LEAST_SWAY, SWAY * room));
   }
 
-  private placeOf(centre: Vector): Place {
+  private orbitOf(centre: Vector): Orbit {
     const from = minus(centre, this.pivot);
     const distance = length(from) || 1;
     const around = Math.atan2(dot(from, this.axes[1]), dot(from, this.axes[0]));

@@ -101,7 +101,7 @@ export function readPayload(packet: Uint8Array, length: number): Uint8Array {
 }
 
 /** The header packet comes first, and no other does (`first`: whether this is the stream's first packet). */
-export function checkPlace(kind: number, first: boolean): void {
+export function checkOrder(kind: number, first: boolean): void {
   if ((kind === KIND.HEADER) !== first) refuse("misplaced-packet", "a stream has one header packet, which comes first");
 }
 

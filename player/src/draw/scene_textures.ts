@@ -3,7 +3,7 @@
  *
  * Whole textures go by texImage2D: on WebGL2 in Chrome, a texSubImage2D of a texture that the picture before still reads
  * waits for that picture (playcanvas/engine#8656: 74 ms against 2). Few rows go as a small texture of their own, and are
- * drawn from there to their places as points: changed rows lie anywhere, so that lines of a texture rarely stay the same.
+ * drawn from there to their slots as points: changed rows lie anywhere, so that lines of a texture rarely stay the same.
  */
 import { TEXTURE_WIDTH, perLine, textureLines, type DrawOrder, type SceneUpdate, type TextureLayout } from "../messages";
 import { linked, type Program } from "./program";
@@ -23,7 +23,7 @@ export class SceneTextures {
   private readonly heat: WebGLTexture;
   private readonly rows: WebGLTexture;
   private readonly staged: WebGLTexture;
-  private readonly places: WebGLTexture;
+  private readonly slots: WebGLTexture;
   private readonly framebuffer: WebGLFramebuffer;
   private readonly patch: Program;
 
@@ -33,12 +33,12 @@ export class SceneTextures {
   ) {
     this.base = { texture: this.texture(), texels: BASE_TEXELS, lines: 0 };
     this.rest = { texture: this.texture(), texels: layout.restTexels, lines: 0 };
-    [this.heat, this.rows, this.staged, this.places] = [this.texture(), this.texture(), this.texture(), this.texture()];
+    [this.heat, this.rows, this.staged, this.slots] = [this.texture(), this.texture(), this.texture(), this.texture()];
     this.framebuffer = gl.createFramebuffer();
     this.patch = linked(gl, PATCH_VERTEX_SHADER, PATCH_FRAGMENT_SHADER);
     gl.useProgram(this.patch.program);
     gl.uniform1i(this.patch.uniform("staged"), 0);
-    gl.uniform1i(this.patch.uniform("places"), 1);
+    gl.uniform1i(this.patch.uniform("slots"), 1);
   }
 
   load(update: SceneUpdate): void {
@@ -76,7 +76,7 @@ export class SceneTextures {
 
   dispose(): void {
     const { gl } = this;
-    for (const texture of [this.base.texture, this.rest.texture, this.heat, this.rows, this.staged, this.places]) {
+    for (const texture of [this.base.texture, this.rest.texture, this.heat, this.rows, this.staged, this.slots]) {
       gl.deleteTexture(texture);
     }
     gl.deleteFramebuffer(this.framebuffer);
@@ -92,9 +92,9 @@ export class SceneTextures {
   private loadPart(part: NonNullable<SceneUpdate["part"]>, base: Uint32Array, rest: Uint32Array | null): void {
     const { gl } = this;
     gl.activeTexture(gl.TEXTURE1);
-    gl.bindTexture(gl.TEXTURE_2D, this.places);
+    gl.bindTexture(gl.TEXTURE_2D, this.slots);
     const lines = textureLines(part.count, 1);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, TEXTURE_WIDTH, lines, 0, gl.RED_INTEGER, gl.UNSIGNED_INT, part.places);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, TEXTURE_WIDTH, lines, 0, gl.RED_INTEGER, gl.UNSIGNED_INT, part.slots);
     gl.activeTexture(gl.TEXTURE0);
     gl.useProgram(this.patch.program);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);

@@ -190,22 +190,22 @@ void main() {
 }
 `;
 
-/** Texels of changed Gaussians, each drawn as a point at its place in a data texture. */
+/** Texels of changed Gaussians, each drawn as a point at its slot in a data texture. */
 export const PATCH_VERTEX_SHADER = /* glsl */ `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
-uniform usampler2D staged, places;
+uniform usampler2D staged, slots;
 uniform ivec2 size;
 uniform int texels;
 flat out uvec4 words;
 ivec2 texelAt(int index) { return ivec2(index & 2047, index >> 11); }
 void main() {
   int row = gl_VertexID / texels;
-  int place = int(texelFetch(places, texelAt(row), 0).r);
+  int slot = int(texelFetch(slots, texelAt(row), 0).r);
   words = texelFetch(staged, texelAt(gl_VertexID), 0);
   int line = size.x / texels;
-  ivec2 texel = ivec2(place % line * texels + gl_VertexID - row * texels, place / line);
+  ivec2 texel = ivec2(slot % line * texels + gl_VertexID - row * texels, slot / line);
   gl_Position = vec4((vec2(texel) + 0.5) / vec2(size) * 2.0 - 1.0, 0.0, 1.0);
   gl_PointSize = 1.0;
 }

@@ -324,7 +324,7 @@ export class Session {
     this.#buffering.shown();
     this.#pictures!.stage.load(update, draw);
     this.drawn = { count: draw.count, sortMs: draw.sortMs };
-    this.#connection?.recycle(draw.order, update?.base, update?.rest, update?.heat, update?.part?.places);
+    this.#connection?.recycle(draw.order, update?.base, update?.rest, update?.heat, update?.part?.slots);
     this.#faults.say();
     if (first) {
       this.host.loading(false);

@@ -174,7 +174,7 @@ function turned(rotation: readonly (readonly number[])[], vector: readonly numbe
   return rotation.map((row) => x * row[0] + y * row[1] + z * row[2]);
 }
 
-/** Rows of `width` floats from their places. */
+/** Rows of `width` floats from their slots. */
 function gather(values: Float32Array, width: number, order: Uint32Array, room: Float32Array): void {
   let to = 0;
   for (let row = 0; to < room.length; row++) {

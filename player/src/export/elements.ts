@@ -53,7 +53,7 @@ function numbered(name: string, count: number): string[] {
 
 /** As `transformed_splats` in formats/geometry/similarity.py: in float64, rounded once. */
 function transformed(gaussians: Gaussians, coefficients: number, { rotation, scale, shift }: Similarity): Gaussians {
-  const places = Math.max(gaussians.count, gaussians.order?.reduce((most, place) => Math.max(most, place + 1), 0) ?? 0);
+  const slots = Math.max(gaussians.count, gaussians.order?.reduce((most, slot) => Math.max(most, slot + 1), 0) ?? 0);
   const linear = rotation.map((row) => row.map((value) => scale * value));
   const [w, x, y, z] = quaternionOf(rotation);
   const turn = [
@@ -65,19 +65,19 @@ function transformed(gaussians: Gaussians, coefficients: number, { rotation, sca
   const rise = Math.log(scale);
   return {
     ...gaussians,
-    means: multiplied(gaussians.means, places, linear, 1, shift),
-    logScales: gaussians.logScales.slice(0, 3 * places).map((value) => value + rise),
-    quaternions: multiplied(gaussians.quaternions, places, turn, 1),
-    sh: multiplied(gaussians.sh, places, shRotation(Math.sqrt(coefficients) - 1, rotation), 3),
+    means: multiplied(gaussians.means, slots, linear, 1, shift),
+    logScales: gaussians.logScales.slice(0, 3 * slots).map((value) => value + rise),
+    quaternions: multiplied(gaussians.quaternions, slots, turn, 1),
+    sh: multiplied(gaussians.sh, slots, shRotation(Math.sqrt(coefficients) - 1, rotation), 3),
   };
 }
 
 /** Of each of so many Gaussians, the matrix times its values, which are rows of `step` numbers, plus a shift. */
-function multiplied(values: Float32Array, places: number, matrix: readonly (readonly number[])[], step: number, shift?: readonly number[]): Float32Array {
+function multiplied(values: Float32Array, slots: number, matrix: readonly (readonly number[])[], step: number, shift?: readonly number[]): Float32Array {
   const size = matrix.length;
-  const result = new Float32Array(places * size * step);
-  for (let place = 0; place < places; place++) {
-    const from = place * size * step;
+  const result = new Float32Array(slots * size * step);
+  for (let slot = 0; slot < slots; slot++) {
+    const from = slot * size * step;
     for (let row = 0; row < size; row++) {
       for (let part = 0; part < step; part++) {
         let sum = shift?.[row] ?? 0;

@@ -4,7 +4,7 @@ import type { Lattice } from "../scene";
 import { BATCH } from "./batch";
 import { kernelInstance } from "./module";
 
-/** The stored values of all Gaussians, place after place. */
+/** The stored values of all Gaussians, slot after slot. */
 export interface Floats {
   readonly means: Float32Array;
   readonly logScales: Float32Array;
@@ -32,17 +32,17 @@ interface Exports {
   dequantise(rows: number, present: number): void;
 }
 
-/** Memory of so many places. It never grows, so that arrays stay what they are; what needs more room moves. */
+/** Memory of so many slots. It never grows, so that arrays stay what they are; what needs more room moves. */
 export class Rows {
   readonly kernel: Exports;
-  /** Places of the batch, lower and upper halves of ids, and columns of `BATCH` integers, channel by channel. */
-  readonly places: Uint32Array;
+  /** Slots of the batch, lower and upper halves of ids, and columns of `BATCH` integers, channel by channel. */
+  readonly slots: Uint32Array;
   readonly idsLow: Uint32Array;
   readonly idsHigh: Uint32Array;
   readonly columns: Int32Array;
   /** Four planes of `BATCH` bytes, which `unzigzag` makes a column of. */
   readonly planes: Uint8Array;
-  /** The linear forms of the digest, two numbers of 32 bits a place. */
+  /** The linear forms of the digest, two numbers of 32 bits a slot. */
   readonly forms: Uint32Array;
   readonly integers: Int32Array;
   readonly floats: Floats;
@@ -58,7 +58,7 @@ export class Rows {
     if (kernel.reserve(capacity, rest) === 0) throw new RangeError(`no memory for ${capacity} Gaussians`);
     const { buffer } = kernel.memory;
     const width = channels.reduce((sum, count) => sum + count, 0);
-    this.places = new Uint32Array(buffer, kernel.places_at(), BATCH);
+    this.slots = new Uint32Array(buffer, kernel.places_at(), BATCH);
     this.idsLow = new Uint32Array(buffer, kernel.ids_at(), BATCH);
     this.idsHigh = new Uint32Array(buffer, kernel.ids_at() + 4 * BATCH, BATCH);
     this.columns = new Int32Array(buffer, kernel.columns_at(), width * BATCH);
@@ -77,7 +77,7 @@ export class Rows {
     new Float64Array(buffer, kernel.lattice_at(), 11).set(stepsOf(lattice));
   }
 
-  /** Takes over the first so many places of others; their floats only where `withFloats`. */
+  /** Takes over the first so many slots of others; their floats only where `withFloats`. */
   adopt(from: Rows, count: number, withFloats: boolean): void {
     const width = from.integers.length / Math.max(1, from.capacity);
     this.forms.set(from.forms.subarray(0, 2 * count));

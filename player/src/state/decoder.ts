@@ -16,7 +16,7 @@ import {
   type KeyBody,
   type KeyHead,
 } from "./payloads";
-import { closeUp, placesForNew } from "./places";
+import { closeUp, slotsForNew } from "./slots";
 import { allRows } from "../entropy/rising";
 import { State, presence, type Groups, type Ids } from "./state";
 
@@ -28,15 +28,15 @@ export interface FramePacket {
 
 /** What a packet did to the scene. */
 export interface Step {
-  /** Places whose values may have changed, each once; null for all. */
-  readonly places: Uint32Array | null;
+  /** Slots whose values may have changed, each once; null for all. */
+  readonly slots: Uint32Array | null;
   readonly changed: number;
   readonly added: number;
   readonly removed: number;
   readonly corrections: ReadonlyMap<string, CameraCorrection>;
 }
 
-const NO_PLACES = new Uint32Array(0);
+const NO_SLOTS = new Uint32Array(0);
 const ALL_GROUPS = 0b111111;
 /** Room in a keyframe's memory: what the next frames add, and the next keyframe, which is built in it. */
 const ROOM = 1.0625;
@@ -134,11 +134,11 @@ export class Decoder {
     const delta = readDelta(fields, state, this.limits.gaussians);
     const { added, removed, values } = delta;
     const ids = consecutiveIds(state.nextId, added);
-    const { places, moved } = changeState(state, delta, ids, values, state.nextId + BigInt(added), digest);
-    state.dequantise(places.touched, presence(delta.residuals));
-    state.dequantise(concatenated(places.taken, moved), ALL_GROUPS);
-    const all = distinct(concatenated(places.touched, places.taken, moved), state.count);
-    return { places: all, changed: delta.touched.length, added, removed: removed.length };
+    const { slots, moved } = changeState(state, delta, ids, values, state.nextId + BigInt(added), digest);
+    state.dequantise(slots.touched, presence(delta.residuals));
+    state.dequantise(concatenated(slots.taken, moved), ALL_GROUPS);
+    const all = distinct(concatenated(slots.touched, slots.taken, moved), state.count);
+    return { slots: all, changed: delta.touched.length, added, removed: removed.length };
   }
 
   private applyKey(packet: FramePacket, fields: Fields): Omit<Step, "corrections"> {
@@ -154,7 +154,7 @@ export class Decoder {
     this.spare = this.state;
     this.state = state;
     state.dequantise(allRows(state.count), ALL_GROUPS);
-    return { places: null, ...keyCounts(head, body) };
+    return { slots: null, ...keyCounts(head, body) };
   }
 
   private firstState(): State {
@@ -186,17 +186,17 @@ function applySkip(state: State, fields: Fields): Omit<Step, "corrections"> {
   const digest = fields.u64();
   fields.finish();
   checkDigest(state.sum, state.count, state.nextId, digest);
-  return { places: NO_PLACES, changed: 0, added: 0, removed: 0 };
+  return { slots: NO_SLOTS, changed: 0, added: 0, removed: 0 };
 }
 
 /** Turns an empty state, or a copy of the first keyframe's, into a keyframe's. */
 function buildKey(state: State, head: KeyHead, { changes, ids, values }: KeyBody, digest: bigint): void {
-  const nothing: Changes = { touched: NO_PLACES, residuals: [], removed: NO_PLACES };
+  const nothing: Changes = { touched: NO_SLOTS, residuals: [], removed: NO_SLOTS };
   changeState(state, changes ?? nothing, ids, values, head.nextId, digest);
 }
 
 interface Changed {
-  readonly places: { readonly touched: Uint32Array; readonly taken: Uint32Array };
+  readonly slots: { readonly touched: Uint32Array; readonly taken: Uint32Array };
   readonly moved: Uint32Array;
 }
 
@@ -216,7 +216,7 @@ function changeState(
   state.reserve(state.count + added);
   state.change(touched, residuals);
   state.sum = addModulo(state.sum, -state.sumOfHashes(freed));
-  // Beyond the last place until the digest is verified: the removed ones may have to stay.
+  // Beyond the last slot until the digest is verified: the removed ones may have to stay.
   state.writeBehind(ids, values);
   try {
     const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed);
@@ -227,13 +227,13 @@ function changeState(
     state.sum = sum;
     throw error;
   }
-  const taken = placesForNew(state, freed, added);
+  const taken = slotsForNew(state, freed, added);
   if (freed.length > 0) for (let i = 0; i < added; i++) state.move(state.count + i, taken[i]);
   const moved = closeUp(state, removed, freed, taken, (from, to) => {
     state.move(from, to);
   });
   state.nextId = nextId;
-  return { places: { touched, taken }, moved };
+  return { slots: { touched, taken }, moved };
 }
 
 function idOf({ low, high }: Ids, i: number): bigint {
@@ -268,15 +268,15 @@ function concatenated(...parts: Uint32Array[]): Uint32Array {
   return joined;
 }
 
-/** Places below the count, each once. */
-function distinct(places: Uint32Array, count: number): Uint32Array {
+/** Slots below the count, each once. */
+function distinct(slots: Uint32Array, count: number): Uint32Array {
   const seen = new Uint8Array(count);
   let kept = 0;
-  for (let i = 0; i < places.length; i++) {
-    const place = places[i];
-    if (place >= count || seen[place] !== 0) continue;
-    seen[place] = 1;
-    places[kept++] = place;
+  for (let i = 0; i < slots.length; i++) {
+    const slot = slots[i];
+    if (slot >= count || seen[slot] !== 0) continue;
+    seen[slot] = 1;
+    slots[kept++] = slot;
   }
-  return places.subarray(0, kept);
+  return slots.subarray(0, kept);
 }

@@ -22,8 +22,8 @@ export interface Ids {
 export type Groups = readonly (Columns | Planes | null)[];
 
 /**
- * A state whose Gaussians keep their places in memory: `order` has the place of each row, and a Gaussian that is added
- * takes the place of one that goes. So a packet costs what it changes and not what there is.
+ * A state whose Gaussians keep their slots in memory: `order` has the slot of each row, and a Gaussian that is added
+ * takes the slot of one that goes. So a packet costs what it changes and not what there is.
  */
 export class State {
   count = 0;
@@ -31,13 +31,13 @@ export class State {
   nextId = 0n;
   /** The sum of all rows' hashes. */
   sum = 0n;
-  /** Whether `order` says no more than that places are rows. */
+  /** Whether `order` says no more than that slots are rows. */
   inOrder = true;
   order = new Uint32Array(0);
   idsLow = new Uint32Array(0);
   idsHigh = new Uint32Array(0);
   readonly width: number;
-  /** Where the channels of each group start among a place's integers. */
+  /** Where the channels of each group start among a slot's integers. */
   readonly offsets: readonly number[];
   private rows: Rows;
 
@@ -52,7 +52,7 @@ export class State {
     this.reserveIds(capacity);
   }
 
-  /** Place after place, `width` integers each: those of all groups in bit order, so that they are fetched together. */
+  /** Slot after slot, `width` integers each: those of all groups in bit order, so that they are fetched together. */
   get integers(): Int32Array {
     return this.rows.integers;
   }
@@ -97,15 +97,15 @@ export class State {
 
   placesOf(rows: Uint32Array): Uint32Array {
     if (this.inOrder) return rows;
-    const places = new Uint32Array(rows.length);
-    for (let i = 0; i < rows.length; i++) places[i] = this.order[rows[i]];
-    return places;
+    const slots = new Uint32Array(rows.length);
+    for (let i = 0; i < rows.length; i++) slots[i] = this.order[rows[i]];
+    return slots;
   }
 
   /** The id of a row. */
   id(row: number): bigint {
-    const place = this.order[row];
-    return (BigInt(this.idsHigh[place]) << 32n) | BigInt(this.idsLow[place]);
+    const slot = this.order[row];
+    return (BigInt(this.idsHigh[slot]) << 32n) | BigInt(this.idsLow[slot]);
   }
 
   /** Whether the next id is above every id and below 2^63. */
@@ -113,25 +113,25 @@ export class State {
     return this.nextId < ID_END && (this.count === 0 || this.id(this.count - 1) < this.nextId);
   }
 
-  /** The sum of the hashes of the Gaussians at these places. */
-  sumOfHashes(places: Uint32Array): bigint {
+  /** The sum of the hashes of the Gaussians at these slots. */
+  sumOfHashes(slots: Uint32Array): bigint {
     let sum = 0n;
-    this.inBatches(places, (rows) => {
+    this.inBatches(slots, (rows) => {
       sum = addModulo(sum, this.rows.kernel.hashes(rows));
     });
     return sum;
   }
 
-  /** Adds residuals to the integers at these places (SPEC section 7, step 1), or takes them back, modulo 2^32. */
-  change(places: Uint32Array, residuals: Groups, back = false): void {
+  /** Adds residuals to the integers at these slots (SPEC section 7, step 1), or takes them back, modulo 2^32. */
+  change(slots: Uint32Array, residuals: Groups, back = false): void {
     const present = presence(residuals);
-    this.inBatches(places, (rows, from) => {
-      this.setColumns(residuals, places.length, rows, from);
+    this.inBatches(slots, (rows, from) => {
+      this.setColumns(residuals, slots.length, rows, from);
       this.sum = addModulo(this.sum, this.rows.kernel.change(rows, present, back ? -1 : 1));
     });
   }
 
-  /** Writes Gaussians to the places behind the last one, which counts nothing yet. `sum` grows by their hashes. */
+  /** Writes Gaussians to the slots behind the last one, which counts nothing yet. `sum` grows by their hashes. */
   writeBehind(ids: Ids, values: Groups): void {
     const { count } = this;
     const added = ids.low.length;
@@ -146,24 +146,24 @@ export class State {
     });
   }
 
-  /** Puts the Gaussians at these places on the lattice; only the groups whose bits are set. */
-  dequantise(places: Uint32Array, present: number): void {
-    this.inBatches(places, (rows) => {
+  /** Puts the Gaussians at these slots on the lattice; only the groups whose bits are set. */
+  dequantise(slots: Uint32Array, present: number): void {
+    this.inBatches(slots, (rows) => {
       this.rows.kernel.dequantise(rows, present);
     });
   }
 
-  /** Copies the Gaussian at a place to another. */
+  /** Copies the Gaussian at a slot to another. */
   move(from: number, to: number): void {
     this.idsLow[to] = this.idsLow[from];
     this.idsHigh[to] = this.idsHigh[from];
     this.rows.kernel.move(from, to);
   }
 
-  private inBatches(places: Uint32Array, work: (rows: number, from: number) => void): void {
-    for (let from = 0; from < places.length; from += BATCH) {
-      const batch = places.subarray(from, from + BATCH);
-      this.rows.places.set(batch);
+  private inBatches(slots: Uint32Array, work: (rows: number, from: number) => void): void {
+    for (let from = 0; from < slots.length; from += BATCH) {
+      const batch = slots.subarray(from, from + BATCH);
+      this.rows.slots.set(batch);
       work(batch.length, from);
     }
   }

@@ -5,13 +5,13 @@ export class Changes {
   /** Until a first frame was given, and after a keyframe, all counts as changed. */
   private all = true;
 
-  /** Places, each once; null for all. */
-  add(places: Uint32Array | null): void {
-    if (places === null) this.all = true;
-    else if (places.length > 0 && !this.all) this.parts.push(places);
+  /** Slots, each once; null for all. */
+  add(slots: Uint32Array | null): void {
+    if (slots === null) this.all = true;
+    else if (slots.length > 0 && !this.all) this.parts.push(slots);
   }
 
-  /** Places below the count that changed since this was asked last, each once; null for all. */
+  /** Slots below the count that changed since this was asked last, each once; null for all. */
   take(count: number): Uint32Array | null {
     const { all, parts } = this;
     this.all = false;
@@ -21,24 +21,24 @@ export class Changes {
   }
 }
 
-function below(places: Uint32Array, count: number): Uint32Array {
-  for (let i = 0; i < places.length; i++) {
-    if (places[i] >= count) return places.filter((place) => place < count);
+function below(slots: Uint32Array, count: number): Uint32Array {
+  for (let i = 0; i < slots.length; i++) {
+    if (slots[i] >= count) return slots.filter((slot) => slot < count);
   }
-  return places;
+  return slots;
 }
 
 function union(parts: readonly Uint32Array[], count: number): Uint32Array {
   const marks = new Uint8Array(count);
   let distinct = 0;
-  for (const places of parts) {
-    for (const place of places) {
-      if (place >= count || marks[place]) continue;
-      marks[place] = 1;
+  for (const slots of parts) {
+    for (const slot of slots) {
+      if (slot >= count || marks[slot]) continue;
+      marks[slot] = 1;
       distinct++;
     }
   }
   const all = new Uint32Array(distinct);
-  for (let place = 0, next = 0; next < distinct; place++) if (marks[place]) all[next++] = place;
+  for (let slot = 0, next = 0; next < distinct; slot++) if (marks[slot]) all[next++] = slot;
   return all;
 }

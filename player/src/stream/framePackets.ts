@@ -5,7 +5,7 @@ import type { Limits } from "../container/limits";
 import {
   PACKET_HEADER_BYTES,
   PACKET_OVERHEAD,
-  checkPlace,
+  checkOrder,
   frameKind,
   readPacketHeader,
   readPayload,
@@ -46,7 +46,7 @@ export async function readFramePacket(
 function readPacket(data: Uint8Array, limits: Limits): { header: PacketHeader; payload: Uint8Array } {
   if (data.length < PACKET_HEADER_BYTES) refuse("truncated", "the stream stops inside a packet header");
   const header = readPacketHeader(data.subarray(0, PACKET_HEADER_BYTES), limits.payloadBytes);
-  checkPlace(header.kind, false);
+  checkOrder(header.kind, false);
   return { header, payload: readPayload(data, header.length) };
 }
 

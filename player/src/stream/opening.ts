@@ -10,7 +10,7 @@ import {
   PACKET_HEADER_BYTES,
   PACKET_OVERHEAD,
   PROLOGUE_BYTES,
-  checkPlace,
+  checkOrder,
   checkPrologue,
   checkSync,
   frameKind,
@@ -44,7 +44,7 @@ function headerLength(head: Uint8Array, limits: Limits): number {
   checkSync(head);
   if (head.length < PACKET_HEADER_BYTES) refuse("truncated", "the stream stops before its header is complete");
   const { kind, length } = readPacketHeader(head, limits.payloadBytes);
-  checkPlace(kind, true);
+  checkOrder(kind, true);
   if (length > MAX_HEADER_BYTES) refuse("too-large", `a header of ${length} bytes is above the limit`);
   return length;
 }

@@ -46,7 +46,7 @@ const WRONG_INDEX: ReadonlySet<Reason | null> = new Set<Reason | null>([
   "truncated",
   "misplaced-packet",
 ]);
-const NOTHING: Omit<Step, "corrections"> = { places: new Uint32Array(0), changed: 0, added: 0, removed: 0 };
+const NOTHING: Omit<Step, "corrections"> = { slots: new Uint32Array(0), changed: 0, added: 0, removed: 0 };
 
 /** An address, a file that was chosen or dropped, bytes, or a source of one's own. */
 export type StreamSource = string | URL | Blob | ArrayBuffer | Uint8Array | ByteSource;
@@ -182,7 +182,7 @@ class OpenStream implements SceneStream {
   async keyframe(index: number): Promise<Still> {
     this.checkOpen();
     await startZstd();
-    const key = (await this.isKnown(index)) ? this.table.keyAt(index) : null;
+    const key = (await this.isIndexed(index)) ? this.table.keyAt(index) : null;
     if (key === null) throw new StreamError("missing-key", `frame ${index} needs a keyframe before it`);
     const { payload, ...packet } = await this.packet(key);
     const aside = (this.aside ??= new Decoder(this.header, this.limits));
@@ -193,7 +193,7 @@ class OpenStream implements SceneStream {
 
   async prefetch(from: number): Promise<void> {
     await this.indexRead;
-    if (!(await this.isKnown(from))) return;
+    if (!(await this.isIndexed(from))) return;
     const start = this.table.offset(from);
     if (start < 0) return;
     const turn = ++this.aheadTurn;
@@ -266,7 +266,7 @@ class OpenStream implements SceneStream {
     await walking;
   }
 
-  private async isKnown(frame: number, signal?: AbortSignal): Promise<boolean> {
+  private async isIndexed(frame: number, signal?: AbortSignal): Promise<boolean> {
     if (frame >= this.table.length) await this.indexRead;
     if (frame >= this.table.length) await this.walkTo(frame + 1, signal);
     return frame < this.table.length;
@@ -276,7 +276,7 @@ class OpenStream implements SceneStream {
     this.checkOpen();
     signal?.throwIfAborted();
     await startZstd();
-    if (!(Number.isInteger(index) && index >= 0 && (await this.isKnown(index, signal)))) {
+    if (!(Number.isInteger(index) && index >= 0 && (await this.isIndexed(index, signal)))) {
       throw new StreamError(null, `frame ${index} is not in this stream of ${this.table.length} frames`);
     }
     this.pauses.begin();
@@ -351,8 +351,8 @@ class OpenStream implements SceneStream {
     try {
       if (packet.kind === "key" && this.decoder.refersToFirst(packet.payload)) await this.needFirst(signal);
       const step = this.decoder.apply(packet, jump);
-      this.changes.add(step.places);
-      this.ages.note(frame, packet.kind === "key" ? null : step.places, this.decoder.gaussians.count);
+      this.changes.add(step.slots);
+      this.ages.note(frame, packet.kind === "key" ? null : step.slots, this.decoder.gaussians.count);
       this.held = null;
       this.shown = { frame, step };
       return this.shown;
@@ -377,7 +377,7 @@ class OpenStream implements SceneStream {
       if (await leadsTo(this.source, table, frame, this.opening.end, this.limits, signal)) throw error;
       this.indexed = null;
       this.indexNotices.push(error);
-      if (!(await this.isKnown(frame, signal)) || this.table.entries[frame].kind === null) throw error;
+      if (!(await this.isIndexed(frame, signal)) || this.table.entries[frame].kind === null) throw error;
       return readFramePacket(this.source, this.table, frame, this.limits, this.figures.note, signal);
     }
   }

@@ -8,7 +8,7 @@ import {
   PACKET_HEADER_BYTES,
   PACKET_OVERHEAD,
   SYNC,
-  checkPlace,
+  checkOrder,
   checkSync,
   frameKind,
   readPacketHeader,
@@ -95,16 +95,16 @@ export class Walk {
     this.stopsInside = head.length > 0;
     if (head.length < PACKET_HEADER_BYTES) return "waiting";
     const header = readPacketHeader(head, this.limits.payloadBytes);
-    checkPlace(header.kind, false);
+    checkOrder(header.kind, false);
     const bytes = PACKET_OVERHEAD + header.length;
-    if (!(await this.isThere(bytes, signal))) return this.unfinishedPacket(signal);
+    if (!(await this.hasBytes(bytes, signal))) return this.unfinishedPacket(signal);
     await this.pass({ ...header, offset: this.offset }, signal);
     this.offset += bytes;
     this.stopsInside = false;
     return "on";
   }
 
-  private async isThere(bytes: number, signal?: AbortSignal): Promise<boolean> {
+  private async hasBytes(bytes: number, signal?: AbortSignal): Promise<boolean> {
     if (this.source.size !== null) return this.offset + bytes <= this.source.size;
     return (await this.source.read(this.offset, bytes, signal)).length === bytes;
   }

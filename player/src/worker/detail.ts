@@ -14,7 +14,7 @@ export class Detail {
     this.chosen = -1;
   }
 
-  /** Leaves in `order` what is drawn of its first `count` places; how many these are. Chosen once a segment. */
+  /** Leaves in `order` what is drawn of its first `count` slots; how many these are. Chosen once a segment. */
   thin(scene: SceneFrame, order: Uint32Array, count: number): number {
     if (this.wanted >= 1) return count;
     const { kind, frame } = scene;
@@ -22,8 +22,8 @@ export class Detail {
     const { kept } = this;
     let left = 0;
     for (let at = 0; at < count; at++) {
-      const place = order[at];
-      if (place >= kept.length || kept[place] === 1) order[left++] = place;
+      const slot = order[at];
+      if (slot >= kept.length || kept[slot] === 1) order[left++] = slot;
     }
     return left;
   }
@@ -32,10 +32,10 @@ export class Detail {
     const { count, logScales, opacityLogits } = gaussians;
     const weights = new Float32Array(count);
     let [low, high] = [Infinity, -Infinity];
-    for (let place = 0; place < count; place++) {
-      const [a, b, c] = [logScales[3 * place], logScales[3 * place + 1], logScales[3 * place + 2]];
-      const weight = (a + b + c - Math.min(a, b, c)) / 2 - Math.log1p(Math.exp(-opacityLogits[place]));
-      weights[place] = weight;
+    for (let slot = 0; slot < count; slot++) {
+      const [a, b, c] = [logScales[3 * slot], logScales[3 * slot + 1], logScales[3 * slot + 2]];
+      const weight = (a + b + c - Math.min(a, b, c)) / 2 - Math.log1p(Math.exp(-opacityLogits[slot]));
+      weights[slot] = weight;
       if (weight < low) low = weight;
       if (weight > high) high = weight;
     }

@@ -18,11 +18,11 @@ export function heatOf(scene: SceneFrame, buffers: Buffers): Uint8Array {
   if (lastChanged === undefined || scene.kind === "key") return bytes.fill(HEAT.still);
   // The oldest are what no packet has touched since the keyframe, unless every one has been: then all is moving anyway.
   let keyframe = scene.frame;
-  for (let place = 0; place < count; place++) if (lastChanged[place] < keyframe) keyframe = lastChanged[place];
-  for (let place = 0; place < count; place++) {
-    const last = lastChanged[place];
+  for (let slot = 0; slot < count; slot++) if (lastChanged[slot] < keyframe) keyframe = lastChanged[slot];
+  for (let slot = 0; slot < count; slot++) {
+    const last = lastChanged[slot];
     const age = scene.frame - last;
-    bytes[place] = last <= keyframe ? HEAT.still : age < FADE_FRAMES ? GLOW[age] : HEAT.earlier;
+    bytes[slot] = last <= keyframe ? HEAT.still : age < FADE_FRAMES ? GLOW[age] : HEAT.earlier;
   }
   return bytes;
 }

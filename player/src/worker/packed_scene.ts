@@ -58,10 +58,10 @@ export class PackedScene {
   private part(frame: SceneFrame, rows: Uint32Array): SceneUpdate {
     const base = this.staged(BASE_WORDS * rows.length);
     const rest = this.restWords > 0 ? this.staged(this.restWords * rows.length) : null;
-    const places = this.buffers.words(TEXTURE_WIDTH * textureLines(rows.length, 1));
-    places.set(rows);
+    const slots = this.buffers.words(TEXTURE_WIDTH * textureLines(rows.length, 1));
+    slots.set(rows);
     this.packer.pack(frame.gaussians, rows, base, rest);
-    const part = { places, count: rows.length };
+    const part = { slots, count: rows.length };
     return { count: this.count, part, base, rest, heat: heatOf(frame, this.buffers) };
   }
 

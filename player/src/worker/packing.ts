@@ -75,15 +75,15 @@ export class Packer {
     this.rest = new Uint32Array(buffer, kernel.rest_at(), this.restWords * BATCH);
   }
 
-  /** Writes the words of all Gaussians, or of those at some places, one after the other; `rest` null: no harmonics. */
-  pack(gaussians: Gaussians, places: Uint32Array | null, base: Uint32Array, rest: Uint32Array | null): void {
-    const all = places?.length ?? gaussians.count;
+  /** Writes the words of all Gaussians, or of those at some slots, one after the other; `rest` null: no harmonics. */
+  pack(gaussians: Gaussians, slots: Uint32Array | null, base: Uint32Array, rest: Uint32Array | null): void {
+    const all = slots?.length ?? gaussians.count;
     for (let from = 0; from < all; from += BATCH) {
       const rows = Math.min(BATCH, all - from);
       for (const { name, each, batch } of this.kinds) {
         const values = gaussians[name];
-        if (places === null) batch.set(values.subarray(each * from, each * (from + rows)));
-        else gather(values, each, places, from, rows, batch);
+        if (slots === null) batch.set(values.subarray(each * from, each * (from + rows)));
+        else gather(values, each, slots, from, rows, batch);
       }
       this.kernel.pack(rows, this.coefficients, this.restWords);
       base.set(this.base.subarray(0, BASE_WORDS * rows), BASE_WORDS * from);
@@ -92,9 +92,9 @@ export class Packer {
   }
 }
 
-function gather(values: Float32Array, each: number, places: Uint32Array, from: number, rows: number, to: Float32Array): void {
+function gather(values: Float32Array, each: number, slots: Uint32Array, from: number, rows: number, to: Float32Array): void {
   for (let i = 0, at = 0; i < rows; i++) {
-    const start = Math.imul(places[from + i], each);
+    const start = Math.imul(slots[from + i], each);
     for (let number = 0; number < each; number++) to[at++] = values[start + number];
   }
 }

@@ -335,7 +335,7 @@ function transfers(draw: DrawOrder, update: SceneUpdate | null): Transferable[] 
   const buffers = new Set<ArrayBufferLike>();
   if (draw !== EMPTY_ORDER) buffers.add(draw.order.buffer);
   if (update !== null) {
-    for (const array of [update.part?.places, update.base, update.rest, update.heat]) {
+    for (const array of [update.part?.slots, update.base, update.rest, update.heat]) {
       if (array) buffers.add(array.buffer);
     }
   }

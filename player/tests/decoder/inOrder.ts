@@ -10,7 +10,7 @@ import {
   PACKET_HEADER_BYTES,
   PACKET_OVERHEAD,
   PROLOGUE_BYTES,
-  checkPlace,
+  checkOrder,
   checkPrologue,
   checkSync,
   frameKind,
@@ -86,7 +86,7 @@ function readPacket(data: Uint8Array, limits: Limits, first: boolean): Packet {
   checkSync(data.subarray(0, 4));
   if (data.length < PACKET_HEADER_BYTES) refuse("truncated", "the stream stops inside a packet header");
   const { kind, frame, length } = readPacketHeader(data.subarray(0, PACKET_HEADER_BYTES), limits.payloadBytes);
-  checkPlace(kind, first);
+  checkOrder(kind, first);
   return { kind, frame, payload: readPayload(data, length) };
 }
 

@@ -10,7 +10,7 @@ import pytest
 from decogs.codec.packets.keyframes import new_state
 from decogs.codec.packets.syntax import write_key
 from decogs.codec.scene.state import State, attributes_from_columns
-from decogs.decoder.editing.names import OWN_IDS, Names
+from decogs.decoder.editing.names import OWN_IDS, IdMap
 
 FAR = 1 << 40
 
@@ -20,12 +20,12 @@ def scene(*ids: int, next_id: int | None = None) -> State:
     return new_state(attributes_from_columns({"means": means}, len(ids), 1), ids=np.array(ids, int), next_id=next_id)
 
 
-def named(names: Names, state: State, *, is_key: bool = False, lists_all: bool = True) -> list[int]:
+def named(names: IdMap, state: State, *, is_key: bool = False, lists_all: bool = True) -> list[int]:
     return names.of(state, is_key=is_key, lists_all=lists_all, is_changed=False).tolist()
 
 
 def test_own_ids_are_kept_while_all_are_own() -> None:
-    names = Names()
+    names = IdMap()
     assert named(names, scene(1, 5, 9, next_id=20), is_key=True) == [1, 5, 9]
     assert named(names, scene(5, 9, 20, next_id=21)) == [5, 9, 20]
     assert named(names, scene(1, 9, 20, 30, next_id=40), is_key=True) == [1, 9, 20, 30]
@@ -33,7 +33,7 @@ def test_own_ids_are_kept_while_all_are_own() -> None:
 
 
 def test_what_a_delta_adds_follows_the_next_id_and_no_id_comes_back() -> None:
-    names = Names()
+    names = IdMap()
     named(names, scene(0, 1, next_id=10), is_key=True)
     assert named(names, scene(0, 1, 12, next_id=13)) == [0, 1, 10]
     assert named(names, scene(0, 12, 13, next_id=14)) == [0, 10, 11]
@@ -43,9 +43,9 @@ def test_what_a_delta_adds_follows_the_next_id_and_no_id_comes_back() -> None:
 
 
 def test_ids_that_no_keyframe_can_list_are_numbered_anew() -> None:
-    names = Names()
+    names = IdMap()
     assert named(names, scene(0, 1, FAR, next_id=FAR + 1), is_key=True) == [0, 1, 2]
-    names = Names()
+    names = IdMap()
     assert named(names, scene(0, 1, next_id=FAR), is_key=True) == [0, 1]
     assert named(names, scene(0, FAR, next_id=FAR + 1)) == [0, FAR]
     assert named(names, scene(0, FAR, next_id=FAR + 1), is_key=True, lists_all=False) == [0, FAR]
@@ -55,7 +55,7 @@ def test_ids_that_no_keyframe_can_list_are_numbered_anew() -> None:
 
 
 def test_ids_of_other_takes_are_never_kept() -> None:
-    names = Names()
+    names = IdMap()
     both = scene(3, OWN_IDS, OWN_IDS + 7, next_id=OWN_IDS + 8)
     assert named(names, both, is_key=True) == [0, 1, 2]
     assert named(names, scene(3, 4, OWN_IDS + 7, next_id=OWN_IDS + 8)) == [0, 3, 2]
@@ -63,7 +63,7 @@ def test_ids_of_other_takes_are_never_kept() -> None:
 
 def test_ids_are_looked_up_only_where_somebody_came_or_went(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame that shows the scene before it once more costs no search; the next one that does not is as ever."""
-    names, state = Names(), scene(1, 2, next_id=20)
+    names, state = IdMap(), scene(1, 2, next_id=20)
     named(names, state, is_key=True)
     with monkeypatch.context() as patched:
         patched.delattr("decogs.decoder.editing.names._looked_up")

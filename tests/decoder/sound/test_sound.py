@@ -31,7 +31,7 @@ from decogs.decoder.commands import decode_main, info_main
 from decogs.decoder.editing import Set, edit
 from decogs.decoder.reading.following import follow_stream
 from decogs.decoder.sound.coding import coded
-from decogs.decoder.sound.samples import frames_before, heard, mixed
+from decogs.decoder.sound.samples import decode_tracks, frames_before, mixed
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.sound.opus import OpusDecoder
 from decogs.formats.stream.container import FRAME_KINDS, PROLOGUE_SIZE, Packet, PacketKind, StreamWriter, packet_bytes
@@ -50,7 +50,7 @@ def clicking(channels: int = 2, seconds: int = 3) -> np.ndarray:
 
 
 def together(sounds: list, tracks: list[SoundTrack], fps: float, first: int = 0) -> np.ndarray:
-    return np.concatenate([mixed(voices) for voices in heard(sounds, tracks, fps, first)], axis=1)
+    return np.concatenate([mixed(voices) for voices in decode_tracks(sounds, tracks, fps, first)], axis=1)
 
 
 def onsets(samples: np.ndarray, begin: int) -> list[int]:

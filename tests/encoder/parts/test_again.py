@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 
 from decogs.encoder import PRESETS, CorrectionSettings, EncodeSettings, join
-from decogs.encoder.commands import encode_main, join_main
+from decogs.encoder.commands import encode_main
+from decogs.encoder.parts.commands import join_main
 from decogs.formats.errors import UsageError
 from decogs.formats.stream.container import PacketKind
 from packets import iterate_packets
@@ -129,6 +130,7 @@ def test_a_farm_that_takes_the_machine_back_may_try_again(rig: Path, tmp_path: P
 import signal, sys, time
 import decogs.encoder.stream.encoder as stream
 from decogs.encoder.commands import encode_main
+from decogs.encoder.parts.commands import join_main
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored by what runs under nohup
 def wait(*_):
     print("in the middle", flush=True)
@@ -260,7 +262,7 @@ def test_a_part_through_a_pipe_is_refused_without_waiting(
 ) -> None:
     """All of them, one of them, standard input, and a named pipe that nobody writes into."""
     os.mkfifo(tmp_path / "fifo")
-    line = "import sys; from decogs.encoder.commands import join_main; sys.exit(join_main())"
+    line = "import sys; from decogs.encoder.parts.commands import join_main; sys.exit(join_main())"
     for given in (
         f"<(cat {parts[0]}) {parts[1]} {parts[2]}",
         " ".join(f"<(cat {path})" for path in parts),

@@ -19,10 +19,10 @@ from decogs.rig.calibration.placed import (
     Distance,
     Edge,
     Placed,
-    measured,
+    normalise_scale,
     parse_distance,
-    scaled,
-    upright,
+    rotate_up,
+    scale_to_distance,
 )
 
 ANYTHING: Any = None
@@ -45,7 +45,7 @@ def ring(edge: Edge = "top") -> Calibration:
 
 @pytest.mark.parametrize("edge", QUARTERS)
 def test_up_is_where_the_pictures_have_the_edge_that_is_told(edge: Edge) -> None:
-    found = upright(ring(edge), edge)
+    found = rotate_up(ring(edge), edge)
     for one in found.placed:
         across, down = one.camera.world_to_camera[0, :3], one.camera.world_to_camera[1, :3]
         up = {"top": -down, "bottom": down, "left": -across, "right": across}[edge]
@@ -54,17 +54,17 @@ def test_up_is_where_the_pictures_have_the_edge_that_is_told(edge: Edge) -> None
 
 
 def test_the_unit_is_the_mean_distance_of_two_cameras_or_the_metre() -> None:
-    centres = np.array([camera_centre(one.camera) for one in scaled(ring()).placed])
+    centres = np.array([camera_centre(one.camera) for one in normalise_scale(ring()).placed])
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)[np.triu_indices(4, 1)]
     assert distances.mean() == pytest.approx(1)
-    found = measured(ring(), Distance("cam0", "cam2", 3.0))
+    found = scale_to_distance(ring(), Distance("cam0", "cam2", 3.0))
     assert found.length_unit == "metre"
     one, two = (camera_centre(found.placed[number].camera) for number in (0, 2))
     assert np.linalg.norm(one - two) == pytest.approx(3)
 
 
 def test_nothing_placed_has_no_unit() -> None:
-    assert scaled(replace(ring(), placed=())).placed == ()
+    assert normalise_scale(replace(ring(), placed=())).placed == ()
 
 
 @pytest.mark.parametrize("text", ["a:b", "a:b:0", "a:b:x", "a:a:1", ":b:1", "a:b:nan", "a:b:1350", "a:b:1e-9"])
@@ -76,7 +76,7 @@ def test_a_distance_that_is_none_is_refused(text: str) -> None:
 
 def test_a_distance_from_a_camera_that_is_not_placed_is_refused() -> None:
     with pytest.raises(UsageError, match="from cam9: there are cam0, cam1, cam2, cam3"):
-        measured(ring(), Distance("cam9", "cam0", 1.0))
+        scale_to_distance(ring(), Distance("cam9", "cam0", 1.0))
 
 
 def test_a_video_that_is_there_twice_is_named(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from decogs.rig.synchronisation.agreement import Agreement
-from decogs.rig.synchronisation.joint import Joint, joint_starts
+from decogs.rig.synchronisation.joint import StartEstimate, joint_starts
 
 REACH, EVIDENCE = 6, 40.0
 
@@ -19,7 +19,7 @@ def pair(first: int, second: int, lag: float, evidence: float = EVIDENCE) -> Agr
     return Agreement(first, second, evidence * np.maximum(curve, 0), curve)
 
 
-def found(starts: list[float], wrong: dict[tuple[int, int], float] | None = None) -> Joint:
+def found(starts: list[float], wrong: dict[tuple[int, int], float] | None = None) -> StartEstimate:
     """Of cameras with these starts, whose pairs say so but for those that are ``wrong`` by some frames."""
     pairs = combinations(range(len(starts)), 2)
     return joint_starts(
@@ -27,7 +27,7 @@ def found(starts: list[float], wrong: dict[tuple[int, int], float] | None = None
     )
 
 
-def from_first(joint: Joint) -> np.ndarray:
+def from_first(joint: StartEstimate) -> np.ndarray:
     return np.asarray(joint.starts - joint.starts[0])
 
 
@@ -37,7 +37,7 @@ STARTS = [0.0, 2.25, -1.5, 0.75, 1.0]
 def test_pairs_that_agree_tell_fractions_exactly() -> None:
     joint = found(STARTS)
     assert from_first(joint) == pytest.approx(STARTS, abs=1e-2)  # by what ties the starts to whole frames
-    assert joint.votes.tolist() == [1.0] * 5
+    assert joint.pair_agreement.tolist() == [1.0] * 5
     # All that is left is what a calibration's faults may hide: .08 of the evidence of a parabola 6 frames wide.
     assert joint.errors == pytest.approx([np.sqrt(0.08 * 2 * REACH**2 / 2 / 4)] * 5, rel=0.02)
 
@@ -46,7 +46,7 @@ def test_a_pair_that_contradicts_the_others_counts_less() -> None:
     """Wrong by 1.4 frames, it would move each of its cameras by a fifth of it, if it counted as the others."""
     joint = found(STARTS, {(1, 3): 1.4})
     assert from_first(joint) == pytest.approx(STARTS, abs=0.15)
-    assert joint.votes.tolist() == [1.0] * 5, "it is within 1.5 frames"
+    assert joint.pair_agreement.tolist() == [1.0] * 5, "it is within 1.5 frames"
     agreed = found(STARTS).errors
     # Its pairs share their faults: twice the error that a mean of four would have, of which one is off by all of it.
     weight = 0.25 / 1.4
@@ -58,7 +58,7 @@ def test_a_pair_that_contradicts_the_others_counts_less() -> None:
 def test_a_pair_that_is_frames_off_has_no_vote_and_no_say() -> None:
     joint = found(STARTS, {(1, 3): 4.0})
     assert from_first(joint) == pytest.approx(STARTS, abs=1e-2)
-    assert joint.votes == pytest.approx([1, 0.75, 1, 0.75, 1], abs=0.01)
+    assert joint.pair_agreement == pytest.approx([1, 0.75, 1, 0.75, 1], abs=0.01)
 
 
 def test_a_pair_whose_best_lag_says_little_does_not_count() -> None:
@@ -66,4 +66,4 @@ def test_a_pair_whose_best_lag_says_little_does_not_count() -> None:
     joint = joint_starts(4, told)
     assert from_first(joint)[:3] == pytest.approx([0, 2, 3], abs=1e-2)
     assert np.isnan([joint.starts[3], joint.errors[3]]).all()
-    assert joint.votes[3] == 0
+    assert joint.pair_agreement[3] == 0

@@ -21,10 +21,10 @@ from decogs.formats.videos.timecodes import read_timecode
 from decogs.rig.synchronisation import AUTO, find_starts, open_synchronised
 from decogs.rig.synchronisation.commands import sync_main
 from decogs.rig.synchronisation.drift import Ends
-from decogs.rig.synchronisation.joint import Joint
+from decogs.rig.synchronisation.joint import StartEstimate
 from decogs.rig.synchronisation.motion import starts_by_motion
 from decogs.rig.synchronisation.sound import starts_by_sound
-from decogs.rig.synchronisation.starts import frames_late, is_reliable, joined, whole_if_in_step
+from decogs.rig.synchronisation.starts import frames_late, is_reliable, merge_estimates, snap_to_trigger
 from videos_with_sound import claps, write_video
 
 WIDTH, HEIGHT, LENGTH = 96, 72, 32
@@ -124,7 +124,7 @@ def test_motion_tells_fractions(late_rig: Path) -> None:
     found = starts_by_motion(ring(), grey(clips), map)
     # A quarter of a frame is what the issue of rigs out of step asks of sound; balls are easier than people.
     assert from_first(found.starts) == pytest.approx(from_first(starts), abs=0.25)
-    assert (from_first(whole_if_in_step(found).starts) % 1 != 0).any()
+    assert (from_first(snap_to_trigger(found).starts) % 1 != 0).any()
 
 
 def test_cameras_in_step_are_found_so() -> None:
@@ -141,15 +141,15 @@ def test_fractions_stay_where_cameras_scatter_more_than_their_errors() -> None:
     halves = np.array([1, 0, 0, 0, 1, 1, 0, 0, 1, 1, 1, 0, 0]) / 2
     whole = np.array([3.0, 0, 1, 4, 2, 2, 0, 1, 3, 4, 0, 2, 1])
     deviations, votes = np.full(13, 0.22), np.ones(13)
-    in_step = whole_if_in_step(Joint(whole + errors, deviations, votes)).starts
+    in_step = snap_to_trigger(StartEstimate(whole + errors, deviations, votes)).starts
     assert (in_step - in_step[1]).tolist() == whole.tolist()
-    late = whole_if_in_step(Joint(whole + halves + errors, deviations, votes)).starts
+    late = snap_to_trigger(StartEstimate(whole + halves + errors, deviations, votes)).starts
     assert np.ptp(late - whole - halves - errors) == pytest.approx(0)
 
 
 def test_whole_frames_are_counted_from_where_most_cameras_are() -> None:
     starts = np.array([3.55, 0.3, 1.3, 4.3, 2.3])
-    found = whole_if_in_step(Joint(starts, np.full(5, 0.22), np.ones(5))).starts
+    found = snap_to_trigger(StartEstimate(starts, np.full(5, 0.22), np.ones(5))).starts
     assert (found - found[1]).tolist() == [3, 0, 1, 4, 2]
 
 
@@ -164,7 +164,7 @@ def test_where_nothing_says_it_the_start_is_unknown(what: str) -> None:
         clips[3] = clips[3][::-1]
     else:
         clips = [each[:5] for each in clips]
-    found = whole_if_in_step(starts_by_motion(cameras, grey(clips), map)).starts
+    found = snap_to_trigger(starts_by_motion(cameras, grey(clips), map)).starts
     if what == "short":
         assert np.isnan(found).all()
     else:
@@ -254,21 +254,21 @@ def test_timecode_goes_first_unless_an_editor_wrote_it(tmp_path: Path) -> None:
 
 
 def test_starts_that_pairs_contradict_or_that_may_be_a_frame_off_are_not_believed() -> None:
-    found = Joint(np.zeros(4), np.array([0.2, 0.2, 0.7, np.nan]), np.array([0.8, 0.6, 1.0, 1.0]))
+    found = StartEstimate(np.zeros(4), np.array([0.2, 0.2, 0.7, np.nan]), np.array([0.8, 0.6, 1.0, 1.0]))
     assert is_reliable(found).tolist() == [True, False, False, False]
 
 
 def test_ways_are_tied_by_the_cameras_that_both_know() -> None:
     nan = np.nan
-    sound = Joint(np.array([10.0, 12.0, nan, nan]), np.array([0.1, 0.1, nan, nan]), np.array([1.0, 1.0, 0, 0]))
-    moved = Joint(np.array([nan, 5.0, 4.0, 9.0]), np.array([nan, 0.2, 0.2, 0.2]), np.array([0.0, 1, 1, 0.3]))
-    found = joined(["a", "b", "c", "d"], Fraction(30), [("audio", sound), ("motion", moved)])
+    sound = StartEstimate(np.array([10.0, 12.0, nan, nan]), np.array([0.1, 0.1, nan, nan]), np.array([1.0, 1.0, 0, 0]))
+    moved = StartEstimate(np.array([nan, 5.0, 4.0, 9.0]), np.array([nan, 0.2, 0.2, 0.2]), np.array([0.0, 1, 1, 0.3]))
+    found = merge_estimates(["a", "b", "c", "d"], Fraction(30), [("audio", sound), ("motion", moved)])
     assert [camera.offset for camera in found.cameras] == [0.0, 2.0, 1.0, None]
     assert [camera.method for camera in found.cameras] == ["audio", "audio", "motion", None]
     # The votes times the chance of being less than half a frame off, which is 5 and 2.5 standard errors.
     assert [camera.confidence for camera in found.cameras] == pytest.approx([1, 1, 0.9876, 0], abs=5e-4)
-    apart = Joint(np.array([nan, nan, 4.0, 9.0]), np.array([nan, nan, 0.2, 0.2]), np.array([0.0, 0, 1, 1]))
-    alone = joined(["a", "b", "c", "d"], Fraction(30), [("audio", sound), ("motion", apart)])
+    apart = StartEstimate(np.array([nan, nan, 4.0, 9.0]), np.array([nan, nan, 0.2, 0.2]), np.array([0.0, 0, 1, 1]))
+    alone = merge_estimates(["a", "b", "c", "d"], Fraction(30), [("audio", sound), ("motion", apart)])
     assert [camera.offset for camera in alone.cameras] == [0.0, 2.0, None, None], "nothing ties the two clocks"
 
 

@@ -18,7 +18,7 @@ from decogs.formats.rigs.rig import recorded_rate
 from decogs.formats.rigs.timeline import Timeline
 from decogs.formats.videos.reading import VideoSource
 from decogs.formats.videos.timecodes import Timecode, read_timecode, timecode_of
-from decogs.rig.synchronisation.joint import Joint
+from decogs.rig.synchronisation.joint import StartEstimate
 from decogs.rig.synchronisation.timecode import starts_by_timecode
 
 NTSC = 60000 / 1001
@@ -36,7 +36,7 @@ def rig_of(rates: list[float], fps: float | None = None) -> Rig:
 Stamp = tuple[str, int | None]
 
 
-def starts(rig: Rig, *stamps: Stamp) -> tuple[Joint, tuple[str, ...]]:
+def starts(rig: Rig, *stamps: Stamp) -> tuple[StartEstimate, tuple[str, ...]]:
     """The starts, where each camera's file states a text and numbers in a second."""
     stated = {f"c{number}": Timecode(*stamp) for number, stamp in enumerate(stamps)}
     return starts_by_timecode(rig, lambda path: stated[path.name])

@@ -3,20 +3,20 @@
 import { rowsBetween } from "../entropy/rising";
 import type { State } from "./state";
 
-/** Places for so many new Gaussians: those of the removed ones first, then those beyond the last. */
-export function placesForNew(state: State, freed: Uint32Array, added: number): Uint32Array {
+/** Slots for so many new Gaussians: those of the removed ones first, then those beyond the last. */
+export function slotsForNew(state: State, freed: Uint32Array, added: number): Uint32Array {
   const reused = Math.min(freed.length, added);
   const behind = rowsBetween(state.count, state.count + added - reused);
   if (reused === 0) return behind;
-  const places = new Uint32Array(added);
-  places.set(freed.subarray(0, reused));
-  places.set(behind, reused);
-  return places;
+  const slots = new Uint32Array(added);
+  slots.set(freed.subarray(0, reused));
+  slots.set(behind, reused);
+  return slots;
 }
 
 /**
- * Closes up the rows behind those removed, appends the new ones, and moves the last Gaussians into places that stay
- * empty. Returns the places whose Gaussians moved; `moveTo` is told of each.
+ * Closes up the rows behind those removed, appends the new ones, and moves the last Gaussians into slots that stay
+ * empty. Returns the slots whose Gaussians moved; `moveTo` is told of each.
  */
 export function closeUp(
   state: State,
@@ -45,10 +45,10 @@ function closeRows(order: Uint32Array, count: number, removed: Uint32Array): num
   return end;
 }
 
-/** Places below the count must all be taken: Gaussians beyond it move into the holes. */
+/** Slots below the count must all be taken: Gaussians beyond it move into the holes. */
 function fillHoles(state: State, holes: Uint32Array, move: (from: number, to: number) => void): Uint32Array {
   const { order, count } = state;
-  const inside = holes.filter((place) => place < count);
+  const inside = holes.filter((slot) => slot < count);
   if (inside.length === 0) return inside;
   let next = 0;
   for (let row = 0; next < inside.length; row++) {
