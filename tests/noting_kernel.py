@@ -36,9 +36,9 @@ class NotingKernel(CpuKernel):
         self.rendered[camera.name] += 1
         return super().forward(splats, camera, **options)
 
-    def fixed_view(self, camera: Camera) -> CpuFixedView:
+    def fixed_view(self, camera: Camera, recorded: Any = None) -> CpuFixedView:
         self.viewed.append(camera.name)
-        return _View(self, camera)
+        return _View(self, camera, recorded)
 
     def view_gradients(self, count: int) -> CpuViewGradients:
         return _ViewGradients(self, count)
@@ -48,8 +48,8 @@ class NotingKernel(CpuKernel):
 
 
 class _View(CpuFixedView):
-    def __init__(self, kernel: NotingKernel, camera: Camera) -> None:
-        super().__init__(kernel, camera)
+    def __init__(self, kernel: NotingKernel, camera: Camera, recorded: Any) -> None:
+        super().__init__(kernel, camera, recorded)
         self._note = kernel.note
 
     def detach(self, *given: Any, **named: Any) -> Any:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, ray_slopes
+from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, ray_slopes, scale_camera
 from decogs.formats.errors import UsageError
 
 F64 = NDArray[np.float64]
@@ -33,6 +33,9 @@ PictureArray = TypeVar("PictureArray", bound=NDArray[Any])
 
 WIDEST = 3
 """A re-distorted view is rendered at most this many times as wide and as high as the camera's own picture."""
+
+LARGEST_AREA = 2.5
+"""Pixels of a training picture, in those of the camera's own: barrel lenses need some 1.2 to 2, fisheyes up to 9."""
 
 _REMAP_LIMIT = (1 << 15) - 2
 """Side of the largest picture that ``cv2.remap`` takes."""
@@ -50,6 +53,9 @@ class Lens(Protocol):
     reach: float
     """Radius of the farthest undistorted direction: past it the model turns back."""
 
+    trusted: float
+    """Radius up to which an undistorted direction is as sure as its pixel, and training takes it."""
+
     def undistort(self, x: F64, y: F64) -> tuple[F64, F64]:
         """The undistorted direction of a distorted point; NaN where the lens puts no direction."""
         ...
@@ -64,16 +70,16 @@ class BrownConradyLens:
         self._numerator = Polynomial([1.0, k1, k2, k3]).trim()
         self._denominator = Polynomial([1.0, k4, k5, k6]).trim()
         self._slopes = self._numerator.deriv(), self._denominator.deriv()
-        self.reach = self._radius_of_fold()
+        self.reach, self.trusted = self._radius_of_slope(0.0), self._radius_of_slope(_LEAST_SLOPE)
 
-    def _radius_of_fold(self) -> float:
-        """Smallest radius at which the distorted radius stops growing (or has a pole), ignoring tangential terms.
+    def _radius_of_slope(self, slope: float) -> float:
+        """Smallest radius at which the distorted radius grows no faster (or has a pole), ignoring tangential terms.
 
-        With s = r^2 and r_d = r N(s) / D(s), dr_d/dr has the sign of (N + 2 s N') D - 2 s N D'.
+        With s = r^2 and r_d = r N(s) / D(s), dr_d/dr D^2 is (N + 2 s N') D - 2 s N D'; at 0 is the fold.
         """
         n, d, two_s = self._numerator, self._denominator, Polynomial([0.0, 2.0])
         n_slope, d_slope = self._slopes
-        return math.sqrt(_first_positive_root((n + two_s * n_slope) * d - two_s * n * d_slope, d))
+        return math.sqrt(_first_positive_root((n + two_s * n_slope) * d - two_s * n * d_slope - slope * d * d, d))
 
     def _radial(self, s: F64) -> tuple[F64, F64]:
         """Radial factor R(s) and its derivative by s = r^2."""
@@ -117,7 +123,7 @@ class FisheyeLens:
         self._slope = Polynomial([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4]).trim()
         # A pinhole cannot see 90 degrees off its axis, whatever the lens can.
         self._widest_angle = min(math.sqrt(_first_positive_root(self._slope)), np.pi / 2 - 1e-3)
-        self.reach = math.tan(self._widest_angle)
+        self.reach = self.trusted = math.tan(self._widest_angle)
 
     def undistort(self, x: F64, y: F64) -> tuple[F64, F64]:
         """Newton's method on the angle alone; the direction around the axis does not change."""
@@ -133,6 +139,10 @@ class FisheyeLens:
         factor[~(np.abs(error) < _SAME)] = np.nan
         return x * factor, y * factor
 
+
+_LEAST_SLOPE = 0.2
+"""How fast a distorted radius grows, at least, with that of its direction, for it to be trusted: an error of the lens's
+coefficients shifts directions by its inverse. Fisheyes are fitted in angles and are trusted."""
 
 _CONVERGED = 1e-12
 """Newton stops this close to the distorted point: 1e-9 pixels at a focal length of 1000."""
@@ -194,15 +204,13 @@ def undistort_pixels(camera: Camera, pixels: F64) -> F64:
 class Undistortion:
     """Takes a rig camera's pictures to a pinhole camera's, for training; the maps are computed once per camera.
 
-    ``pinhole`` is ``as_pinhole(camera)`` unless another pinhole of the same pose is given: the same size and scale at
-    the centre, at a barrel lens without blank pixels (at the price of the outermost recorded ones);
-    ``covering_pinhole(camera)`` keeps every recorded pixel instead, with blank corners. ``valid`` (H, W) bool marks
-    the pixels of the pinhole picture that were recorded; training must leave out the others.
+    ``pinhole`` is ``training_pinhole(camera)`` unless another pinhole of the same pose is given. ``valid`` (H, W) bool
+    marks the pixels of the pinhole picture that were recorded; training must leave out the others, the blank ones.
     """
 
     def __init__(self, camera: Camera, pinhole: Camera | None = None) -> None:
         self.camera = camera
-        self.pinhole = as_pinhole(camera) if pinhole is None else pinhole
+        self.pinhole = training_pinhole(camera) if pinhole is None else pinhole
         self._maps: Maps | None = None
         if is_distorted(camera) or pinhole is not None:
             self._maps = _undistortion_maps(camera, self.pinhole)
@@ -223,7 +231,7 @@ class Undistortion:
 
 
 def undistort(picture: PictureArray, camera: Camera) -> tuple[PictureArray, NDArray[np.bool_]]:
-    """One picture of ``camera`` as ``as_pinhole(camera)`` would have taken it, and which of its pixels were recorded.
+    """One picture of ``camera`` as its ``training_pinhole`` would have taken it, and which of its pixels were recorded.
 
     For more than one picture of a camera keep an ``Undistortion``: its maps cost as much as several pictures.
     """
@@ -277,6 +285,29 @@ class Redistortion:
 def covering_pinhole(camera: Camera) -> Camera:
     """A pinhole with the camera's pose and focal lengths that sees all of its distorted picture (to ``WIDEST``)."""
     return Redistortion(camera).render_camera
+
+
+def training_pinhole(camera: Camera) -> Camera:
+    """The pinhole through which training sees the camera: it covers all that was recorded (to ``WIDEST``).
+
+    What its lens is not ``trusted`` to show is left out. It has the camera's focal lengths, so that the middle keeps
+    its detail, unless it is then over ``LARGEST_AREA`` times as large as the camera's picture: it is scaled down to
+    that. An undistorted camera's is its own.
+    """
+    if not is_distorted(camera):
+        return as_pinhole(camera)
+    covering = _trusted_part(covering_pinhole(camera), lens_of(camera).trusted)
+    most = LARGEST_AREA * camera.width * camera.height
+    return scale_camera(covering, min(1.0, (most / (covering.width * covering.height)) ** 0.5))
+
+
+def _trusted_part(pinhole: Camera, radius: float) -> Camera:
+    """The whole pixels of the pinhole around its directions up to a ``radius``."""
+    across, down = radius * pinhole.fx, radius * pinhole.fy
+    left, top = (math.floor(max(0.0, first)) for first in (pinhole.cx - across, pinhole.cy - down))
+    right = math.ceil(min(float(pinhole.width), pinhole.cx + across))
+    bottom = math.ceil(min(float(pinhole.height), pinhole.cy + down))
+    return _shifted(pinhole, _Window(left, top, right, bottom))
 
 
 class _Window(NamedTuple):
@@ -339,7 +370,7 @@ def _undistortion_maps(camera: Camera, pinhole: Camera) -> Maps:
     import cv2
 
     distorted = is_distorted(camera)
-    reach = lens_of(camera).reach if distorted else math.inf
+    trusted = lens_of(camera).trusted if distorted else math.inf
     u, v = _opencv_model(camera).initUndistortRectifyMap(
         _opencv_matrix(camera),
         np.array(camera.distortion, np.float64) if distorted else np.zeros(4),
@@ -349,7 +380,7 @@ def _undistortion_maps(camera: Camera, pinhole: Camera) -> Maps:
         cv2.CV_32FC1,
     )
     x, y = ray_slopes(pinhole, np.arange(pinhole.width) + 0.5, np.arange(pinhole.height) + 0.5)
-    inside = _within(u, v, camera.width, camera.height) & (x * x + (y * y)[:, None] < reach**2)
+    inside = _within(u, v, camera.width, camera.height) & (x * x + (y * y)[:, None] < trusted**2)
     u[~inside] = v[~inside] = 0.0
     return u, v, inside
 

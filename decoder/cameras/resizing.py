@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray
@@ -20,3 +21,10 @@ def resized_plane(plane: FloatArray, camera: Camera) -> FloatArray:
     import cv2
 
     return np.asarray(cv2.resize(plane, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def recorded_pixels(recorded: FloatArray | None, camera: Camera) -> NDArray[np.bool_]:
+    """The pixels (H, W) of ``camera`` that were recorded as a whole; None means all."""
+    if recorded is None:
+        return np.ones((camera.height, camera.width), bool)
+    return np.asarray(resized_plane(recorded, camera) > 0.999)

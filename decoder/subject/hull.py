@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, in_picture, project, scale_camera
 from decogs.formats.splats import FloatArray
 
-from ..cameras.resizing import resized_plane
+from ..cameras.resizing import recorded_pixels, resized_plane
 
 BoolArray = NDArray[np.bool_]
 
@@ -33,10 +33,19 @@ _MIN_VIEWS = 3
 
 @dataclass(frozen=True)
 class SubjectView:
-    """A view's camera, and its pixels (H, W) that may show something in front of the backdrop."""
+    """A view's camera, and its pixels (H, W) that may show something in front of the backdrop.
+
+    ``recorded`` (H, W): where it looks; None means everywhere. What it did not record may be anything.
+    """
 
     camera: Camera
     subject: BoolArray
+    recorded: BoolArray | None = None
+
+    @property
+    def share(self) -> float:
+        """Of what it recorded, that may show something in front of the backdrop."""
+        return float((self.subject if self.recorded is None else self.subject[self.recorded]).mean())
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,7 @@ class Hull:
     @property
     def share(self) -> float:
         """Share of the pictures that shows something in front of the backdrop."""
-        return float(np.mean([each.subject.mean() for each in self.views]))
+        return float(np.mean([each.share for each in self.views]))
 
     def holds(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) at which enough views look, of which none shows the backdrop."""
@@ -65,10 +74,10 @@ class Hull:
         denied, looking = np.zeros(len(xyz), bool), np.zeros(len(xyz), np.int64)
         for each in self.views:
             u, v, depth = project(each.camera, xyz)
-            here = in_picture(each.camera, u, v, depth)
-            rows = np.flatnonzero(here)
-            looking += here
-            denied[rows] |= ~each.subject[v[rows].astype(np.int64), u[rows].astype(np.int64)]
+            rows = np.flatnonzero(in_picture(each.camera, u, v, depth))
+            pixels = v[rows].astype(np.int64), u[rows].astype(np.int64)
+            looking[rows] += 1 if each.recorded is None else each.recorded[pixels]
+            denied[rows] |= ~each.subject[pixels]
         return denied, looking
 
 
@@ -81,19 +90,13 @@ def matte_view(pinhole: Camera, alpha: FloatArray, recorded: FloatArray | None) 
     """The pixels that may show the subject, by its ``alpha`` and by how much of a pixel was ``recorded``, (H, W)."""
     camera = hull_camera(pinhole)
     shown = resized_plane(alpha, camera) > _MIN_ALPHA
-    return SubjectView(camera, with_margin(shown | ~recorded_pixels(recorded, camera)))
+    seen = recorded_pixels(recorded, camera)
+    return SubjectView(camera, with_margin(shown | ~seen), None if recorded is None else seen)
 
 
 def hull_camera(pinhole: Camera, most: int = MOST_PIXELS) -> Camera:
     """The camera with at most so many pixels."""
     return scale_camera(pinhole, min(1.0, (most / (pinhole.width * pinhole.height)) ** 0.5))
-
-
-def recorded_pixels(recorded: FloatArray | None, camera: Camera) -> BoolArray:
-    """The pixels (H, W) of ``camera`` that were recorded as a whole; None means all."""
-    if recorded is None:
-        return np.ones((camera.height, camera.width), bool)
-    return np.asarray(resized_plane(recorded, camera) > 0.999)
 
 
 def with_margin(subject: BoolArray) -> BoolArray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from decogs.formats.cameras import Camera, in_picture, project, ray_slopes, rig_
 from decogs.formats.errors import RigError
 from decogs.formats.splats import FloatArray
 from decogs.formats.system.callbacks import OnWarning
+
+_Recorded: TypeAlias = "NDArray[np.bool_] | None"
 
 _ALL, _LEVEL = 0.995, 1 / 255
 _MAX_LABEL = 8 / 255
@@ -37,41 +40,56 @@ them, below which someone's is; share of all others' subjects that one denies, f
 
 
 def check_mattes(
-    origins: Sequence[str], cameras: Sequence[Camera], alphas: Sequence[FloatArray], warn: OnWarning
+    origins: Sequence[str],
+    cameras: Sequence[Camera],
+    alphas: Sequence[FloatArray],
+    recorded: Sequence[_Recorded],
+    warn: OnWarning,
 ) -> str:
     """How the mattes (H, W) of one frame agree, by ``cameras`` without lenses, in words.
 
-    Raises RigError where they cannot be what they should. ``origins``: where they come from, for messages. ``warn`` is
-    called where they contradict each other somewhat.
+    Raises RigError where they cannot be what they should. ``origins``: where they come from, for messages.
+    ``recorded`` (H, W): which pixels were, None meaning all. ``warn`` is called where they contradict each other
+    somewhat.
     """
-    for origin, alpha in zip(origins, alphas, strict=True):
-        problem = _problem(alpha)
+    for origin, alpha, seen in zip(origins, alphas, recorded, strict=True):
+        problem = _problem(alpha, seen)
         if problem:
             raise RigError(f"{origin}: {problem}")
     if not any((alpha > _SURE_SUBJECT).any() for alpha in alphas):
         raise RigError(f"{origins[0]} and all others: black all over, there is no subject; white is subject")
     if len(cameras) < _MIN_VIEWS:
         return f"mattes can be right; whether they agree only {_MIN_VIEWS} cameras say"
-    return _check_agreement(origins, _agreement(cameras, rig_extent(cameras), alphas), warn)
+    return _check_agreement(origins, _agreement(cameras, rig_extent(cameras), alphas, recorded), warn)
 
 
 def is_white(alpha: FloatArray) -> bool:
-    """Whether a matte (H, W) leaves nothing out, as where a tool found no subject."""
+    """Whether a matte, of any shape, leaves nothing out, as where a tool found no subject."""
     return bool((alpha > _ALL).mean() > _ALL)
 
 
-def _problem(alpha: FloatArray) -> str:
+def _problem(alpha: FloatArray, recorded: _Recorded) -> str:
     """Why a matte (H, W) 0..1 is none: white all over, labels of objects, inverted; empty where it may be one."""
-    if is_white(alpha):
+    if is_white(alpha if recorded is None else alpha[recorded]):
         return "white all over; white is subject, black is empty"
     if _LEVEL <= alpha.max() <= _MAX_LABEL:
         return f"nowhere brighter than {255 * alpha.max():.0f} of 255, like labels of objects; write white for them"
-    border = np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]])
+    border = _border(alpha, recorded)
     height, width = alpha.shape
     middle = alpha[height // 4 : -(height // 4) or None, width // 4 : -(width // 4) or None]
     if (border > _SURE_SUBJECT).mean() > _INVERTED_BORDER and middle.mean() < border.mean():
         return "white at all borders and not in the middle, so inverted; white is subject"
     return ""
+
+
+def _border(alpha: FloatArray, recorded: _Recorded) -> FloatArray:
+    """The values (P,) of a matte (H, W) at the border of what was recorded."""
+    import cv2
+
+    if recorded is None:
+        return np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]])
+    inner = cv2.erode(recorded.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+    return np.asarray(alpha[recorded & (inner == 0)])
 
 
 def _check_agreement(origins: Sequence[str], agreement: _Agreement, warn: OnWarning) -> str:
@@ -105,22 +123,27 @@ class _Agreement:
     denied: NDArray[np.float64]
 
 
-def _agreement(cameras: Sequence[Camera], extent: float, alphas: Sequence[FloatArray]) -> _Agreement:
+def _agreement(
+    cameras: Sequence[Camera], extent: float, alphas: Sequence[FloatArray], recorded: Sequence[_Recorded]
+) -> _Agreement:
     may_be = [_with_margin(alpha) for alpha in alphas]
     depths = np.geomspace(_NEAREST * extent, _FARTHEST * extent, _DEPTHS)
     confirmed, denied, asked = np.ones((2, len(cameras))), np.zeros(len(cameras)), 0
-    for row, (camera, alpha) in enumerate(zip(cameras, alphas, strict=True)):
-        pixels = np.flatnonzero(alpha.ravel() > _SURE_SUBJECT)
+    for row, (camera, alpha, shown) in enumerate(zip(cameras, alphas, recorded, strict=True)):
+        subject = alpha > _SURE_SUBJECT
+        pixels = np.flatnonzero(subject if shown is None else subject & shown)
         if not pixels.size:
             continue
         chosen = pixels[np.linspace(0, pixels.size - 1, min(_PIXELS, pixels.size)).astype(np.int64)]
         points = _along_rays(camera, chosen, depths)
         seen, missed = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
         last = np.full(len(points), -1)
-        for index, (other, subject) in enumerate(zip(cameras, may_be, strict=True)):
+        for index, (other, subject, shown) in enumerate(zip(cameras, may_be, recorded, strict=True)):
             if index != row:
                 u, v, depth = project(other, points)
                 here = np.flatnonzero(in_picture(other, u, v, depth))
+                if shown is not None:
+                    here = here[shown[v[here].astype(np.int64), u[here].astype(np.int64)]]
                 seen[here] += 1
                 misses = here[~subject[v[here].astype(np.int64), u[here].astype(np.int64)]]
                 missed[misses] += 1

@@ -75,7 +75,8 @@ class SubjectOfStream:
         ((_, pictures),) = read_frames(self._rig, frame, frame + 1)
         places = [matte_origin(self._rig, camera.name, frame) for camera in self._rig.cameras]
         pinholes = [plan.pinhole for plan in self._plans]
-        check_mattes(places, pinholes, self._alphas(pictures), on_warning or (lambda text: None))
+        recorded = [None if plan.valid.all() else plan.valid for plan in self._plans]
+        check_mattes(places, pinholes, self._alphas(pictures), recorded, on_warning or (lambda text: None))
 
     def _alphas(self, pictures: Sequence[Picture]) -> list[FloatArray]:
         """As the pinholes would have them; cubic interpolation overshoots."""

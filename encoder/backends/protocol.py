@@ -202,7 +202,8 @@ class FixedView(Protocol):
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
         """`refresh`, and every Gaussian's rendering weight, (2, N).
 
-        The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
+        The weight is the sum of alpha times transmittance: in row 0 over all recorded pixels, in row 1 over those of
+        ``marks`` (H, W).
         """
 
     def detach(self, rows: RowArray) -> None:
@@ -272,8 +273,13 @@ class TrainingKernel(Protocol):
         *,
         sh_degree: int | None = None,
         depth: bool = False,
+        tiles: NDArray[np.uint8] | None = None,
     ) -> RenderedPicture:
-        """Renders, and keeps what `backward` needs; raises UsageError when a scene covers the picture too often."""
+        """Renders, and keeps what `backward` needs; raises UsageError when a scene covers the picture too often.
+
+        ``tiles``: 0 for each 16x16 tile, in rows, that nobody looks at: it may show anything, and its pixels neither
+        count in the loss nor have a gradient. The array must not change until then.
+        """
 
     def picture_loss(
         self,
@@ -311,8 +317,8 @@ class TrainingKernel(Protocol):
     def centres(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Projected centres (N, 2) in pixels and depths (N,) of the last picture; NaN where nothing was drawn."""
 
-    def fixed_view(self, camera: Camera) -> FixedView:
-        """A fixed view of the pinhole ``camera``."""
+    def fixed_view(self, camera: Camera, recorded: NDArray[np.bool_] | None = None) -> FixedView:
+        """A fixed view of the pinhole ``camera``, with its pictures' ``recorded`` pixels (H, W); None means all."""
 
     def optimiser(self, splats: Splats, *, beta1: float = 0.9, beta2: float = 0.999) -> Optimiser:
         """A copy of ``splats``, ready to be trained by Adam (Kingma 2015)."""

@@ -18,13 +18,18 @@ class SceneViews(Sequence[FixedView]):
     """One fixed view for each of the ``cameras``, made when first needed.
 
     A scene's pictures are asked for by scene: it is drawn unless the views have it already. ``late``: by camera, by
-    what part of a frame its pictures are later than their instant.
+    what part of a frame its pictures are later than their instant. ``recorded``: by camera, where its pictures were,
+    None meaning everywhere.
     """
 
     def __init__(
-        self, kernel: TrainingKernel, cameras: Callable[[], Sequence[Camera]], late: Mapping[str, float] | None = None
+        self,
+        kernel: TrainingKernel,
+        cameras: Callable[[], Sequence[Camera]],
+        late: Mapping[str, float] | None = None,
+        recorded: Mapping[str, NDArray[np.bool_] | None] | None = None,
     ) -> None:
-        self._kernel, self._cameras, self._late = kernel, cameras, late or {}
+        self._kernel, self._cameras, self._late, self._recorded = kernel, cameras, late or {}, recorded or {}
         self._views: list[FixedView] = []
         self._drawn: Splats | None = None
 
@@ -46,7 +51,8 @@ class SceneViews(Sequence[FixedView]):
         return self
 
     def _view(self, camera: Camera) -> FixedView:
-        view, late = self._kernel.fixed_view(camera), self._late.get(camera.name, 0.0)
+        view = self._kernel.fixed_view(camera, self._recorded.get(camera.name))
+        late = self._late.get(camera.name, 0.0)
         return LateView(view, late) if late else view
 
     def pictures(self, scene: Splats) -> list[FloatArray]:

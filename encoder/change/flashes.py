@@ -25,7 +25,6 @@ from .masks import (
     MAX_NOISE_FRACTION,
     MaskMemory,
     PixelChange,
-    changed_fraction,
     difference_mask,
     share,
     usable_views,
@@ -39,20 +38,20 @@ MAX_FLASH_FRAMES = 8
 """Frames after which a light counts as permanent."""
 
 
-def changes_most(changes: Sequence[PixelChange]) -> bool:
+def changes_most(memory: MaskMemory, changes: Sequence[PixelChange]) -> bool:
     """Whether nearly everything has changed since it was trained."""
-    used = usable_views(changes)
-    return bool(used) and float(np.mean([share(changes[index].raw) for index in used])) > _MIN_FLASH_FRACTION
+    used, shares = usable_views(changes), memory.shares([change.raw for change in changes])
+    return bool(used) and float(np.mean([shares[index] for index in used])) > _MIN_FLASH_FRACTION
 
 
 def may_be_flash(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSettings) -> bool:
     """Whether nearly everything has changed since the frame before, and not only since it was trained."""
-    return changed_fraction(pictures, memory.previous, settings) > _MIN_FLASH_FRACTION
+    return memory.changed_fraction(pictures, memory.previous, settings) > _MIN_FLASH_FRACTION
 
 
 def matches(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSettings) -> bool:
     """Whether the ``pictures`` (3, H, W) of a frame are again those before a flash, whose ``memory`` was kept."""
-    return changed_fraction(pictures, memory.references, settings) < _MAX_RETURN_FRACTION
+    return memory.changed_fraction(pictures, memory.references, settings) < _MAX_RETURN_FRACTION
 
 
 def is_missed(
@@ -67,5 +66,8 @@ def is_missed(
         return False
     clearly = partial(difference_mask, threshold=CLEAR_CHANGE_LEVELS)
     rendered = render()
-    missed = [clearly(pictures[i], memory.references[i]) & clearly(pictures[i], rendered[i]) for i in used]
-    return float(np.median([mask.mean() for mask in missed])) > MAX_NOISE_FRACTION
+    missed = [
+        share(clearly(pictures[i], memory.references[i]) & clearly(pictures[i], rendered[i]), memory.recorded[i])
+        for i in used
+    ]
+    return float(np.median(missed)) > MAX_NOISE_FRACTION

@@ -74,9 +74,11 @@ class FrameMask:
     lost: str = ""
 
 
-def share(mask: BoolArray) -> float:
-    """Of pixels that are marked, 0 to 1; a mean takes twenty times as long."""
-    return np.count_nonzero(mask) / mask.size
+def share(mask: BoolArray, recorded: BoolArray | None = None) -> float:
+    """Of ``recorded`` pixels, None meaning all, that are marked, 0 to 1; a mean takes twenty times as long."""
+    if recorded is None:
+        return np.count_nonzero(mask) / mask.size
+    return np.count_nonzero(mask & recorded) / (int(np.count_nonzero(recorded)) or 1)
 
 
 def usable_views(masks: Sequence[PixelChange | FrameMask]) -> list[int]:
@@ -140,14 +142,20 @@ def remove_specks(mask: BoolArray, area: int) -> BoolArray:
 
 
 def _light_fractions(
-    now: FloatArray, reference: FloatArray, region: BoolArray, thresholds: tuple[float, ...]
+    now: FloatArray,
+    reference: FloatArray,
+    region: BoolArray,
+    thresholds: tuple[float, ...],
+    recorded: BoolArray | None,
 ) -> list[float]:
-    """Fraction of the area outside the ``region`` of other changes that light changed by each threshold, levels."""
+    """Fraction of the recorded area outside the ``region`` of other changes that light changed by each threshold,
+    levels."""
     height, width = (max(1, size // _LIGHT_WINDOW_PIXELS) for size in region.shape)
     shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
-    outside = shrink((~region).astype(np.float32)) > 0.99
+    outside = shrink(_recorded(~region, recorded).astype(np.float32)) > 0.99
     changes = np.abs([shrink(cv2.subtract(*planes)) for planes in zip(now, reference, strict=True)]).max(axis=0)
-    area = max(outside.sum(), _MIN_LIGHT_FRACTION * outside.size)
+    picture = outside.size if recorded is None else outside.size * recorded.mean()
+    area = max(outside.sum(), _MIN_LIGHT_FRACTION * picture)
     return [float((changes[outside] > threshold / 255).sum() / area) for threshold in thresholds]
 
 
@@ -155,6 +163,7 @@ def _light_fractions(
 class MaskMemory:
     """What the masks of one frame hand to the next; one entry for each view.
 
+    ``recorded`` (H, W): where the pictures were, None meaning everywhere; nothing else is marked or counted.
     ``references``: pictures (3, H, W) that the next ones are compared with. ``previous``: those of the frame
     before. ``blank``: whether the first picture shows nothing. ``trained_errors``: 8-bit levels, of a trained
     picture; None where none is known. ``light_only``: light alone changed the frame before. ``relit``: in some
@@ -162,6 +171,7 @@ class MaskMemory:
     all are of one colour: that is no dropout.
     """
 
+    recorded: Sequence[BoolArray | None]
     references: Sequence[FloatArray]
     previous: Sequence[FloatArray]
     blank: Sequence[bool]
@@ -176,15 +186,17 @@ class MaskMemory:
         pictures: Sequence[FloatArray],
         rendered: Sequence[FloatArray] | None = None,
         *,
+        recorded: Sequence[BoolArray | None] = (),
         subject: bool = False,
         threads: int = 1,
     ) -> MaskMemory:
         """After a scene's first frame; ``rendered``: its renderings, None for a method that needs no masks."""
-        errors = None
+        recorded, errors = recorded or [None] * len(pictures), None
         if rendered is not None:
             with side_by_side(threads) as each:
-                errors = list(each(_trained_error, pictures, rendered))
+                errors = list(each(_trained_error, pictures, rendered, recorded))
         return cls(
+            recorded=recorded,
             references=tuple(pictures),
             previous=tuple(pictures),
             blank=[bool(blankness(picture)) for picture in pictures],
@@ -205,12 +217,12 @@ class MaskMemory:
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
 
-        def change(now: FloatArray, reference: FloatArray) -> PixelChange:
-            noise = _noise_floor(now, reference, settings)
-            raw = difference_mask(now, reference, max(settings.threshold, noise))
+        def change(now: FloatArray, reference: FloatArray, recorded: BoolArray | None) -> PixelChange:
+            noise = _noise_floor(now, reference, settings, recorded)
+            raw = _recorded(difference_mask(now, reference, max(settings.threshold, noise)), recorded)
             return PixelChange(remove_specks(raw, settings.speck_area), noise)
 
-        views = list(zip(pictures, self.references, strict=True))
+        views = list(zip(pictures, self.references, self.recorded, strict=True))
         with side_by_side(threads) as each:
             changes = list(each(lambda view: change(*view), views))
         reasons = dict(enumerate(self._dropouts(pictures, changes))) | dict(lost or {})
@@ -221,18 +233,19 @@ class MaskMemory:
     ) -> list[FrameMask]:
         """The region of interest of every view around its ``changes``."""
 
-        def mask(now: FloatArray, reference: FloatArray, change: PixelChange) -> FrameMask:
-            region = _dilated(change.raw, settings)
-            threshold, faint_light = self._light_threshold(now, reference, region, change.noise, settings)
+        def mask(now: FloatArray, reference: FloatArray, change: PixelChange, recorded: BoolArray | None) -> FrameMask:
+            region = _recorded(_dilated(change.raw, settings), recorded)
+            threshold, faint_light = self._light_threshold(now, reference, region, change.noise, settings, recorded)
             if change.lost:
                 nowhere = np.zeros_like(change.raw)
                 return FrameMask(nowhere, nowhere, faint_light, change.lost)
             if threshold:
-                light = remove_specks(faint_light_mask(now, reference, threshold), settings.speck_area)
-                region = _dilated(change.raw | light, settings)
+                light = _recorded(faint_light_mask(now, reference, threshold), recorded)
+                light = remove_specks(light, settings.speck_area)
+                region = _recorded(_dilated(change.raw | light, settings), recorded)
             return FrameMask(change.raw, region, faint_light)
 
-        views = list(zip(pictures, self.references, changes, strict=True))
+        views = list(zip(pictures, self.references, changes, self.recorded, strict=True))
         with side_by_side(threads) as each:
             return list(each(lambda view: mask(*view), views))
 
@@ -296,7 +309,13 @@ class MaskMemory:
         return [reason or (FROZEN if repeat else "") for reason, repeat in zip(blank, repeated, strict=True)]
 
     def _light_threshold(
-        self, now: FloatArray, reference: FloatArray, region: BoolArray, noise: float, settings: MaskSettings
+        self,
+        now: FloatArray,
+        reference: FloatArray,
+        region: BoolArray,
+        noise: float,
+        settings: MaskSettings,
+        recorded: BoolArray | None,
     ) -> tuple[float, float]:
         """Levels from which faint light counts, 0 for nowhere; and `FrameMask.faint_light`.
 
@@ -306,38 +325,51 @@ class MaskMemory:
             return 0.0, 0.0
         noise /= _LIGHT_WINDOW_PIXELS
         usual, low = (max(factor * settings.light_threshold, noise) for factor in (1.0, _LOW_THRESHOLD_FACTOR))
-        light, faint_light = _light_fractions(now, reference, region, (usual, low))
+        light, faint_light = _light_fractions(now, reference, region, (usual, low), recorded)
         if self.light_only or faint_light > _GLOBAL_LIGHT_FRACTION:
             return low, faint_light
         return (usual if light > _MIN_LIGHT_FRACTION else 0.0), faint_light
 
+    def full_masks(self, changes: Sequence[PixelChange]) -> list[FrameMask]:
+        """Masks of all recorded pixels, of every view that shows its frame; none where no changes were looked for."""
+        views = zip(changes, self.recorded, strict=bool(changes))
+        masks = [_recorded(np.full_like(change.raw, not change.lost), recorded) for change, recorded in views]
+        return [FrameMask(mask, mask, lost=change.lost) for change, mask in zip(changes, masks, strict=True)]
 
-def changed_fraction(pictures: Sequence[FloatArray], before: Sequence[FloatArray], settings: MaskSettings) -> float:
-    """Fraction of pixels, median over the views, that differ from those ``before``."""
-    pairs = zip(pictures, before, strict=True)
-    return float(np.median([difference_mask(*pair, settings.threshold).mean() for pair in pairs]))
+    def shares(self, masks: Sequence[BoolArray]) -> list[float]:
+        """Of each view's recorded pixels that its mask (H, W) marks, 0 to 1; none where no masks were made."""
+        return [share(*each) for each in zip(masks, self.recorded, strict=bool(masks))]
+
+    def changed_fraction(
+        self, pictures: Sequence[FloatArray], before: Sequence[FloatArray], settings: MaskSettings
+    ) -> float:
+        """Fraction of recorded pixels, median over the views, that differ from those ``before``."""
+        pairs = zip(pictures, before, strict=True)
+        return float(np.median(self.shares([difference_mask(*pair, settings.threshold) for pair in pairs])))
 
 
-def full_masks(changes: Sequence[PixelChange]) -> list[FrameMask]:
-    """Masks of all pixels, of every view that shows its frame."""
-    return [FrameMask(full := np.full_like(change.raw, not change.lost), full, lost=change.lost) for change in changes]
+def _recorded(mask: BoolArray, recorded: BoolArray | None) -> BoolArray:
+    """The mask in what was recorded."""
+    return mask if recorded is None else mask & recorded
 
 
-def _noise_floor(now: FloatArray, reference: FloatArray, settings: MaskSettings) -> float:
+def _noise_floor(now: FloatArray, reference: FloatArray, settings: MaskSettings, recorded: BoolArray | None) -> float:
     """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""
     if not settings.noise_multiple:
         return 0.0
     noise = settings.noise_multiple * frame_noise(now, reference, settings.threshold / settings.noise_multiple)
-    if noise > settings.threshold and difference_mask(now, reference, CLEAR_CHANGE_LEVELS).mean() > MAX_NOISE_FRACTION:
-        return 0.0
-    return noise
+    if noise <= settings.threshold:
+        return noise
+    clearly = share(difference_mask(now, reference, CLEAR_CHANGE_LEVELS), recorded)
+    return 0.0 if clearly > MAX_NOISE_FRACTION else noise
 
 
 def _dilated(mask: BoolArray, settings: MaskSettings) -> BoolArray:
     return dilate(mask, settings.radius(mask.shape[1]))
 
 
-def _trained_error(picture: FloatArray, rendered: FloatArray) -> float:
-    """Error, in 8-bit levels, that a tenth of the pixels of a fully trained picture (3, H, W) exceed."""
+def _trained_error(picture: FloatArray, rendered: FloatArray, recorded: BoolArray | None) -> float:
+    """Error, in 8-bit levels, that a tenth of the recorded pixels of a fully trained picture (3, H, W) exceed."""
     error = np.abs(np.clip(rendered, 0, 1) - picture).max(axis=0)
+    error = error if recorded is None else error[recorded]
     return 255 * float(np.quantile(error, _TRAINED_ERROR_QUANTILE))

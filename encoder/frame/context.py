@@ -62,7 +62,8 @@ class Context:
     def new_views(self) -> SceneViews:
         """The training views, in which nothing is drawn yet."""
         late = self.ingest.rig.timeline.late() if _follows_frame_by_frame(self.settings) else None
-        return SceneViews(self.kernel, lambda: [view.pinhole for view in self.ingest.views], late)
+        recorded = {view.camera.name: view.recorded for view in self.ingest.views}
+        return SceneViews(self.kernel, lambda: [view.pinhole for view in self.ingest.views], late, recorded)
 
     def renderer(self, views: SceneViews, scene: Splats) -> RenderView:
         """Renders the ``scene`` through a training view, by number; ``views``: those kept from frame to frame."""

@@ -80,7 +80,7 @@ def what_happened(context: Context, frame: PendingFrame, watch: Stopwatch) -> Pe
         kind = Kind.CHANGE
         if is_missed(memory.masks, frame.pictures, lambda: memory.views.pictures(scene.splats), changes):
             kind = Kind.EVERYTHING
-        elif changes_most(changes):
+        elif changes_most(memory.masks, changes):
             if _is_cut(context, frame, changes):
                 return replace(frame, kind=Kind.CUT, changes=changes)
             if memory.before_flash is None and may_be_flash(memory.masks, frame.pictures, settings.frame.masks):

@@ -86,7 +86,13 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(start.frame.training, rendered, subject=bool(start.frame.alpha), threads=context.threads),
+        MaskMemory.begin(
+            start.frame.training,
+            rendered,
+            recorded=[view.recorded for view in context.ingest.views],
+            subject=bool(start.frame.alpha),
+            threads=context.threads,
+        ),
         Motion.at_rest(len(scene.state)),
         start.corrections,
         None if budget is None else RateControl(budget, settings.segment),

@@ -14,7 +14,7 @@ from ..analysis.enabled import enabled_effects
 from ..analysis.moving_regions import moving_regions
 from ..backends import FixedView
 from ..change.flashes import changes_most
-from ..change.masks import FrameMask, full_masks, usable_views
+from ..change.masks import FrameMask, usable_views
 from ..change.selection import select, view_evidence
 from ..coding.rate_control import scaled_significance
 from ..settings.frame import FrameSettings, SelectionSettings
@@ -69,7 +69,7 @@ class FramePlan:
 def find_masks(context: Context, frame: PendingFrame, watch: Stopwatch) -> Sequence[FrameMask]:
     """The regions of interest around what changed."""
     if frame.kind is Kind.EVERYTHING:
-        return full_masks(frame.changes)
+        return frame.memory.masks.full_masks(frame.changes)
     if frame.kind is Kind.NOTHING:
         return []
     with watch.stage("masks"):
@@ -103,7 +103,7 @@ def plan_frame(
     """The settings with which a frame is trained and coded."""
     settings, memory = context.settings, frame.memory
     effects, by_light = settings.frame_effects if selected.any() else (), None
-    relit = bool(effects) and changes_most(frame.changes) and _is_missed(frame, masks)
+    relit = bool(effects) and changes_most(memory.masks, frame.changes) and _is_missed(frame, masks)
     if relit:
         # Light reaches what a single view sees; where it clips, it changes edges, too.
         selected = np.ones(len(selected), bool)

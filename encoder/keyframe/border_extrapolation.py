@@ -1,9 +1,9 @@
-"""Gaussians beside the training pictures: their borders extrapolated, blurred, instead of black.
+"""Gaussians beside what the training pictures recorded: its borders extrapolated, blurred, instead of black.
 
 A free viewpoint sees past the borders of all pictures. Depths go on as planes, colours as means over more and more of
-the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none is inside a
-picture. Rejected: a background of the pictures' mean colour, which shows through surfaces in training. Figures:
-DESIGN.md, "Keyframe".
+the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none is inside what
+was recorded of one. Rejected: a background of the pictures' mean colour, which shows through surfaces in training.
+Figures: DESIGN.md, "Keyframe".
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,11 +43,13 @@ _SURFACE_OPACITY = 0.5
 class _WidePicture:
     """A shrunk picture with a margin of ``margin`` pixels on every side, into which it goes on.
 
-    ``inverse_depth`` (H, W), 1 / world units; ``rgb`` (H, W, 3), 0..1.
+    ``beside`` (H, W): pixels to the nearest one that was recorded, along rows and columns; ``inverse_depth`` (H, W),
+    1 / world units; ``rgb`` (H, W, 3), 0..1.
     """
 
     camera: Camera
     margin: int
+    beside: NDArray[np.float64]
     inverse_depth: FloatArray
     rgb: FloatArray
 
@@ -103,6 +106,7 @@ def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Sp
     return _WidePicture(
         wide,
         margin,
+        _pixels_beside(np.pad(recorded > 0.999, border)),
         fill_depths(padded) if solid.any() else padded,
         push_pull(np.pad(colours, (*border, (0, 0))), np.pad(recorded, border)),
     )
@@ -111,12 +115,13 @@ def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Sp
 def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance: float) -> _Blobs:
     """One in each empty cell of a margin, outside all views."""
     blobs = _Blobs(np.zeros((0, 3)), np.zeros((0, 3), np.float32), np.zeros(0))
+    pictures = [(view.pinhole, None if view.recorded is None else _pixels_beside(view.recorded)) for view in views]
     for begin, end, factor in _RINGS:
         cell = round(factor * distance)
         for picture in wide:
             row, column = _free_cells(picture, blobs.xyz, cell, begin, end)
             more = _blobs_at(picture, row, column, cell)
-            unseen = ~_reach_into_pictures(views, more)
+            unseen = ~_reach_into_pictures(pictures, more)
             blobs = _Blobs(
                 np.concatenate([blobs.xyz, more.xyz[unseen]]),
                 np.concatenate([blobs.rgb, more.rgb[unseen]]),
@@ -125,14 +130,26 @@ def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance:
     return blobs
 
 
-def _reach_into_pictures(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
-    """Which of them, (P,), reach into the picture of a view."""
+def _pixels_beside(recorded: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Distance (H, W) of each pixel to the nearest one that was ``recorded``, the larger one along row and column."""
+    return np.asarray(cv2.distanceTransform((~recorded).astype(np.uint8), cv2.DIST_C, cv2.DIST_MASK_3), np.float64)
+
+
+def _reach_into_pictures(
+    pictures: Sequence[tuple[Camera, NDArray[np.float64] | None]], blobs: _Blobs
+) -> NDArray[np.bool_]:
+    """Which of them, (P,), reach into what was recorded of a picture: all of it, or where `_pixels_beside` are 0."""
     reaching = np.zeros(len(blobs.xyz), np.bool_)
-    for camera in (view.pinhole for view in views):
+    for camera, beside in pictures:
         u, v, depth = project(camera, blobs.xyz)
         with np.errstate(divide="ignore", invalid="ignore"):
             x, y = (_CLEARANCE_SIGMAS * focal * blobs.sigma / depth for focal in (camera.fx, camera.fy))
-        reaching |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
+        here = (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
+        if beside is not None:
+            column = np.clip(np.where(here, u, 0), 0, camera.width - 1).astype(np.int64)
+            row = np.clip(np.where(here, v, 0), 0, camera.height - 1).astype(np.int64)
+            here &= beside[row, column] < np.maximum(x, y)
+        reaching |= here
     return reaching
 
 
@@ -140,15 +157,14 @@ def _free_cells(
     picture: _WidePicture, xyz: NDArray[np.float64], cell: int, begin: float, end: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns (P,) of the middles of cells that hold none of the points, from ``begin`` to ``end`` of the
-    margin."""
+    margin beside what was recorded."""
     camera, margin = picture.camera, picture.margin
     taken = np.zeros((-(-camera.height // cell), -(-camera.width // cell)), np.bool_)
     u, v, depth = project(camera, xyz)
     inside = in_picture(camera, u, v, depth)
     taken[v[inside].astype(np.int64) // cell, u[inside].astype(np.int64) // cell] = True
     row, column = (axis.ravel() for axis in np.mgrid[cell // 2 : camera.height : cell, cell // 2 : camera.width : cell])
-    nearer = np.minimum(np.minimum(row, camera.height - 1 - row), np.minimum(column, camera.width - 1 - column))
-    off = (margin - nearer) / max(margin, 1)
+    off = picture.beside[row, column] / max(margin, 1)
     free = (off > begin) & (off <= end) & ~taken[row // cell, column // cell]
     free &= picture.inverse_depth[row, column] > 1e-12
     return row[free], column[free]

@@ -74,10 +74,11 @@ def train_first_frame(
 
     def points_of(frame: RigFrame) -> tuple[FirstPoints, Stage | None]:
         stage = find_stage(ingest.views, frame)
-        most = fit_to_pictures([view.pinhole for view in ingest.views], settings.keyframe).first_points
+        most = fit_to_pictures([view.pixels for view in ingest.views], settings.keyframe).first_points
         points = first_points(
             [view.pinhole for view in ingest.views],
             [picture.transpose(1, 2, 0) for picture in frame.training],
+            recorded=[view.recorded for view in ingest.views],
             given=ingest.rig.points,
             cap=most if stage is None else max(1, round(stage.hull.share * most)),
             within=None if stage is None else stage.may_show,

@@ -72,9 +72,9 @@ def unscaled_schedule(settings: KeyframeSettings) -> PictureFit:
     return PictureFit(settings.iterations, (PictureScale(0, 1),), settings.seen_cap, 1.0)
 
 
-def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> PictureFit:
-    """The schedule for the pictures of these cameras: by their mean number of pixels."""
-    pixels = float(np.mean([camera.width * camera.height for camera in cameras]))
+def fit_to_pictures(recorded: Sequence[int], settings: KeyframeSettings) -> PictureFit:
+    """The schedule for pictures of which so many pixels were ``recorded``: by the mean."""
+    pixels = float(np.mean(recorded))
     if pixels < LARGE_PICTURE_PIXELS:
         return unscaled_schedule(settings)
     factors = [1]

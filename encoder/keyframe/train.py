@@ -26,6 +26,7 @@ from decogs.rig.stage.stage import Stage
 
 from ..backends import Colour, LossValue, RenderedPicture, TrainingKernel
 from ..backends.psnr import psnr_of
+from ..backends.tiles import tiles_with
 from ..input.compensation import Corrector
 from ..output.reports import OnKeyframeStep
 from ..settings.keyframe import KeyframeSettings
@@ -163,7 +164,7 @@ def train_keyframe(
         lattice=lattice,
         lattice_scale=lattice_scale,
         stopping=stopping,
-        fit=fit or fit_to_pictures([view.pinhole for view in views], settings),
+        fit=fit or fit_to_pictures([view.pixels for view in views], settings),
         stage=stage,
         alphas=alphas,
         tuning=tuning,
@@ -221,6 +222,8 @@ class _KeyframeTraining:
         self._recorded, self._corrector, self._dissimilarity = pictures, corrector, dissimilarity
         self._lattice, self._lattice_scale, self._tuning = lattice, lattice_scale, tuning
         self._extent = scene_extent(views) or 1.0
+        # Gradients are in units of the picture's size: here, of as much as was recorded.
+        self._blankness = [(view.pinhole.width * view.pinhole.height / max(1, view.pixels)) ** 0.5 for view in views]
         self._pictures, self._alphas = list(pictures), alphas
         self._counted = counted = [_loss_weights(view, settings.validation_fraction, random) for view in views]
         self._stopping, self._is_good_enough = stopping, False
@@ -373,13 +376,14 @@ class _KeyframeTraining:
     def _step(self, step: int) -> LossValue:
         index = next(self._order)
         camera, (loss, background) = self._cameras[index], self._loss(index)
-        picture = self._kernel.forward(self._optimiser, camera, background, sh_degree=self._degree(step))
+        degree, tiles = self._degree(step), self._tiles[index]
+        picture = self._kernel.forward(self._optimiser, camera, background, sh_degree=degree, tiles=tiles)
         value = loss.evaluate(self._kernel)
         if self._target is not None:
             self._is_good_enough = self._target.update(index, picture.rgb)
         self._values[-1].append(value)
         gradients = self._kernel.backward(self._optimiser)
-        self._view_gradients.add(gradients, camera)
+        self._view_gradients.add(gradients, camera, self._blankness[index])
         rates = self._rates(step / self._settings.iterations)
         reach = None if self._stage is None else self._stage.reach(self._optimiser.splats.means)
         self._optimiser.step(gradients, rates, max_stretch=self._tuning.max_stretch, reach=reach)
@@ -440,6 +444,10 @@ class _KeyframeTraining:
             self._values.append([])
         self._factor = factor
         self._cameras = [shrunk_camera(view.pinhole, factor) for view in self._views]
+        self._tiles = [
+            None if view.valid is None else tiles_with(resized_plane(view.valid, camera) > 0)
+            for view, camera in zip(self._views, self._cameras, strict=True)
+        ]
         self._losses = [
             whole_picture_loss(resized(picture, camera), shrunk_weights(counted, camera), self._dissimilarity)
             for picture, counted, camera in zip(self._pictures, self._counted, self._cameras, strict=True)
@@ -508,12 +516,21 @@ class _KeyframeTraining:
         return psnr_of(square / max(pixels, 1.0))
 
     def _visible(self, splats: Splats) -> NDArray[np.bool_]:
-        """Gaussians visible in some training view; the others cost bytes and show only as floaters elsewhere."""
+        """Gaussians visible in what some view recorded; the others cost bytes and show only as floaters elsewhere."""
         seen = np.zeros(len(splats), bool)
         for view in self._views:
+            if view.recorded is not None:
+                seen |= self._weights(view, splats) > 0
+                continue
             self._kernel.forward(splats, view.pinhole)
             seen |= np.isfinite(self._kernel.centres(len(splats))[1])
         return seen
+
+    def _weights(self, view: View, splats: Splats) -> FloatArray:
+        """Rendering weights (N,) in what the view recorded."""
+        drawn = self._kernel.fixed_view(view.pinhole, view.recorded)
+        drawn.set_scene(splats)
+        return np.asarray(drawn.redraw()[0])
 
 
 def _loss_weights(view: View, share: float, random: np.random.Generator) -> FloatArray | None:

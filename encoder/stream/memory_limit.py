@@ -31,8 +31,9 @@ the loss and what is kept out of it."""
 _LATER_FRAME_BYTES = 84
 """Of a training pixel in later frames: the picture, the one before, the reference, the view as it is drawn with depth,
 opacity and gradient, masks and weights of the loss."""
-_LENS_BYTES = 4
-"""Of a training pixel of a camera with a lens: whether it was recorded."""
+_LENS_BYTES = 24
+"""Of a training pixel of a camera with a lens: where it lies in the recorded picture, whether it does, as several parts
+of the encoder mark it, and of a blank one which recorded one is nearest."""
 _MATTE_BYTES = 7
 """Of a training pixel that has a matte: alpha, and the matte as its file has it."""
 _CUTTING_BYTES = 160

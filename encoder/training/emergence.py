@@ -76,5 +76,5 @@ def _find_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[in
 def _search_view(training: FrameTraining, index: int) -> SearchView:
     """What a view was last drawn with, beside its picture."""
     drawn, picture = training.context.static_views[index], training.frame.pictures[index]
-    camera = training.context.views[index].pinhole
-    return SearchView(camera, picture, drawn.rgb, drawn.alpha, drawn.depth, training.focus(index))
+    view = training.context.views[index]
+    return SearchView(view.pinhole, picture, drawn.rgb, drawn.alpha, drawn.depth, training.focus(index), view.recorded)

@@ -72,7 +72,7 @@ class SearchView:
     """One view at the time of the search: its pinhole camera, picture and rendering (3, H, W), alpha and depth (H, W).
 
     The depth is summed with the rendering weights, in world units. ``focus`` (H, W): the region in which the frame may
-    change.
+    change. ``recorded`` (H, W): where the picture was, None meaning everywhere.
     """
 
     camera: Camera
@@ -81,6 +81,7 @@ class SearchView:
     alpha: FloatArray
     depth: FloatArray
     focus: BoolArray
+    recorded: BoolArray | None = None
 
     @cached_property
     def missed(self) -> FloatArray:
@@ -318,7 +319,7 @@ class _Search:
         misses = np.zeros(len(ray), np.int64)
         for other in _far_first(int(rays.views[0]), len(self._views)):
             points = rays.origins[ray] + rays.directions[ray] / self._inverse[sample][:, None]
-            flat, *_ = _project(self._views[other].camera, points)
+            flat, *_ = _project(self._views[other], points)
             inside = (flat >= 0) & (rays.views[ray] != other)
             hit = inside & self._wide[other][np.maximum(flat, 0)]
             seen += inside
@@ -344,7 +345,7 @@ class _Search:
         differences = np.full((len(pictures), len(self._views), count), np.inf, np.float32)
         before, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
         for other, view in enumerate(self._views):
-            flat, u, v, depth = _project(view.camera, points)
+            flat, u, v, depth = _project(view, points)
             inside = np.flatnonzero((flat >= 0) & (views != other))
             at = flat[inside]
             for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
@@ -393,9 +394,10 @@ def _directions(camera: Camera, pixels: IntArray) -> NDArray[np.float64]:
 
 
 def _project(
-    camera: Camera, points: NDArray[np.float64]
+    view: SearchView, points: NDArray[np.float64]
 ) -> tuple[IntArray, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Flat pixel of every point, -1 outside the picture; column, row (pixel centres at .5) and depth."""
+    """Flat pixel of every point, -1 outside what was recorded; column, row (pixel centres at .5) and depth."""
+    camera = view.camera
     x, y, depth = in_camera(camera, points).T
     front = depth > 1e-9
     reciprocal = 1 / np.where(front, depth, 1)
@@ -403,6 +405,8 @@ def _project(
     u, v = camera.fx * x * reciprocal + camera.cx, camera.fy * y * reciprocal + camera.cy
     inside = front & in_picture(camera, u, v, depth)
     column, row = np.where(inside, u, 0).astype(np.int64), np.where(inside, v, 0).astype(np.int64)
+    if view.recorded is not None:
+        inside &= view.recorded[row, column]
     return np.where(inside, row * camera.width + column, -1), u, v, depth
 
 

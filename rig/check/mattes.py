@@ -24,7 +24,9 @@ def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> str:
     for text in ingest.matte_warnings:
         warn(text)
     places = [ingest.matte_origin(view.camera.name, first.index) for view in ingest.views]
-    agree = matte_checks.check_mattes(places, [view.pinhole for view in ingest.views], first.alpha, warn)
+    agree = matte_checks.check_mattes(
+        places, [view.pinhole for view in ingest.views], first.alpha, [view.recorded for view in ingest.views], warn
+    )
     shares = first.screen_coloured_shares
     worst = int(np.argmax(shares)) if shares else 0
     if shares and shares[worst] > _MAX_SCREEN_COLOURED_SHARE:

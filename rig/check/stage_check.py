@@ -141,11 +141,12 @@ class RoomCheck:
 
 @dataclass(frozen=True)
 class _Shown:
-    """What a pinhole camera shows, (H, W, 3), and its plate."""
+    """What a pinhole camera shows, (H, W, 3), its plate, and which of its pixels (H, W) were recorded."""
 
     camera: Camera
     picture: FloatArray
     plate: FloatArray
+    recorded: NDArray[np.bool_]
 
 
 def check_backdrop(
@@ -166,10 +167,12 @@ def check_room(room: PlainRoom, cameras: Sequence[Camera]) -> RoomCheck:
 
 def check_stage(stage: PlainStage, cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]) -> StageCheck:
     """Judges the ``stage`` that the first ``pictures`` (H, W, 3) of the ``cameras`` show, at its views' size."""
-    straight = [
-        display_referred(Undistortion(camera).apply(own)) for camera, own in zip(cameras, pictures, strict=True)
+    plans = [Undistortion(camera) for camera in cameras]
+    straight = [display_referred(plan.apply(own)) for plan, own in zip(plans, pictures, strict=True)]
+    shown = [
+        _Shown(view.camera, picture, view.plate, plan.valid)
+        for view, picture, plan in zip(stage.views, straight, plans, strict=True)
     ]
-    shown = [_Shown(view.camera, picture, view.plate) for view, picture in zip(stage.views, straight, strict=True)]
     gap, between = _largest_gap(stage, cameras)
     backdrop = np.concatenate([picture[view.plain] for view, picture in zip(stage.views, straight, strict=True)])
     floor = _below(stage, cameras)
@@ -200,10 +203,10 @@ def first_met(stage: PlainStage, centre: F64, rays: NDArray[np.floating]) -> F64
 
 def _subject_share(stage: PlainStage, view: _Shown) -> float:
     """Share of the picture that differs from the plate and lies in the hull: no shadow, no gap."""
-    subject = subject_pixels(view.picture, view.plate)
+    subject = subject_pixels(view.picture, view.plate) & view.recorded
     row, column = _sampled(subject)
     stands = ~stage.on_backdrop(first_met(stage, camera_centre(view.camera), _rays(view.camera, row, column)))
-    return float(subject.mean() * stands.mean()) if len(stands) else 0.0
+    return float(subject[view.recorded].mean() * stands.mean()) if len(stands) else 0.0
 
 
 def _sampled(pixels: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -227,6 +230,7 @@ def _shadow(stage: PlainStage, shown: Sequence[_Shown]) -> float:
         u, v, depth = project(view.camera, xyz)
         facing = ((camera_centre(view.camera) - xyz) * normals).sum(axis=1) > 0
         rows = np.flatnonzero(in_picture(view.camera, u, v, depth) & facing)
+        rows = rows[view.recorded[v[rows].astype(np.int64), u[rows].astype(np.int64)]]
         at = v[rows].astype(np.int64), u[rows].astype(np.int64)
         light = cv2.blur(view.picture, (3, 3)) @ LUMA / np.maximum(view.plate @ LUMA, 1 / 255)
         brightest[rows] = np.maximum(brightest[rows], light[at])
@@ -236,8 +240,9 @@ def _shadow(stage: PlainStage, shown: Sequence[_Shown]) -> float:
 
 
 def _plain_share(stage: BackdropStage) -> float:
-    """Plain share of the median picture."""
-    return float(np.median([view.plain.mean() for view in stage.views]))
+    """Plain share of the median picture, of what was recorded."""
+    shown = zip(stage.views, stage.hull.views, strict=True)
+    return float(np.median([replace(there, subject=view.plain).share for view, there in shown]))
 
 
 def _below(stage: BackdropStage, cameras: Sequence[Camera]) -> float | None:
@@ -281,7 +286,7 @@ def _key(stage: PlainStage, shown: Sequence[_Shown], backdrop: FloatArray) -> Ke
 
 def _inner_colours(stage: PlainStage, view: _Shown, core: NDArray[np.bool_]) -> FloatArray:
     """Some colours (N, 3) that a view shows of what is in the hull, without the backdrop seen through its gaps."""
-    row, column = _sampled(core)
+    row, column = _sampled(core & view.recorded)
     rays, centre = _rays(view.camera, row, column), camera_centre(view.camera)
     colours = view.picture[row, column]
     behind = first_met(replace(stage, hull=Hull([])), centre, rays)

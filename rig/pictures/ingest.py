@@ -59,6 +59,16 @@ class View:
     pinhole: Camera
     valid: FloatArray | None
 
+    @property
+    def recorded(self) -> NDArray[np.bool_] | None:
+        """The pixels (H, W) of ``valid``, or None when that is everywhere."""
+        return None if self.valid is None else self.valid > 0
+
+    @property
+    def pixels(self) -> int:
+        """How many were recorded."""
+        return self.pinhole.width * self.pinhole.height if self.valid is None else int(np.count_nonzero(self.valid))
+
 
 @dataclass(frozen=True)
 class RigFrame:

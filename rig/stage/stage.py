@@ -196,7 +196,7 @@ def _plain_room(seen: Sequence[StageView], plain: Sequence[BoolArray]) -> PlainR
     on_wall = ~on_floor & plain_points(walls, xyz, normals)
     beside = [pixels_beside(view.camera, xyz, normals, on_wall) | ~view.recorded for view in seen]
     shown = [replace(wall, plain=wall.plain & ~other) for wall, other in zip(walls, beside, strict=True)]
-    if np.median([view.plain.mean() for view in shown]) < _MIN_ROOM_SHARE:
+    if np.median([view.share(wall.plain) for view, wall in zip(seen, shown, strict=True)]) < _MIN_ROOM_SHARE:
         return None
     colours = np.where(on_floor[:, None], surface_colours(whole, xyz, normals), surface_colours(shown, xyz, normals))
     kept = on_floor | on_wall
@@ -227,7 +227,7 @@ def _plain_share(views: Sequence[View], pictures: Sequence[FloatArray]) -> float
     shares: list[float] = []
     for view, picture in zip(views, pictures, strict=True):
         small = stage_view(view, picture, _DECISION_PIXELS)
-        shares.append(float((plain_pixels(small.picture) & small.recorded).mean()))
+        shares.append(small.share(plain_pixels(small.picture)))
         if 2 * sum(share < _MIN_ROOM_SHARE for share in shares) > len(views):
             return 0.0
     return float(np.median(shares))
@@ -236,4 +236,4 @@ def _plain_share(views: Sequence[View], pictures: Sequence[FloatArray]) -> float
 def _subject_view(view: StageView, plate: FloatArray, beside: BoolArray | None = None) -> SubjectView:
     """What differs from the plate, and what was not recorded or is ``beside`` it, and may be anything."""
     beside = ~view.recorded if beside is None else beside
-    return SubjectView(view.camera, with_margin(subject_pixels(view.picture, plate) | beside))
+    return SubjectView(view.camera, with_margin(subject_pixels(view.picture, plate) | beside), view.recorded)

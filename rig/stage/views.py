@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decogs.decoder.cameras.resizing import resized
-from decogs.decoder.subject.hull import MOST_PIXELS, BoolArray, hull_camera, recorded_pixels
+from decogs.decoder.cameras.resizing import recorded_pixels, resized
+from decogs.decoder.subject.hull import MOST_PIXELS, BoolArray, hull_camera
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray
 
@@ -21,6 +21,10 @@ class StageView:
     camera: Camera
     picture: FloatArray
     recorded: BoolArray
+
+    def share(self, pixels: BoolArray) -> float:
+        """Of the recorded pixels that are among ``pixels`` (H, W)."""
+        return float(pixels[self.recorded].mean()) if self.recorded.any() else 0.0
 
 
 def stage_view(view: View, picture: FloatArray, most: int = MOST_PIXELS) -> StageView:

@@ -38,8 +38,9 @@ def test_it_is_over_where_less_than_a_quarter_differs_from_before(rows: int, ove
 def test_only_views_that_show_their_frame_say_what_may_be_one(share: float, may_be: bool) -> None:
     raw = np.arange(10)[None] < 10 * share
     lost = PixelChange(np.zeros((1, 10), bool), 0.0, lost="black")
-    assert changes_most([PixelChange(raw, 0.0), lost, lost]) == may_be
-    assert not changes_most([lost])
+    picture = np.zeros((3, 1, 10), np.float32)
+    assert changes_most(MaskMemory.begin([picture] * 3), [PixelChange(raw, 0.0), lost, lost]) == may_be
+    assert not changes_most(MaskMemory.begin([picture]), [lost])
 
 
 def memory_of(picture: np.ndarray, motion: Motion = MOVING) -> Memory:

@@ -18,7 +18,6 @@ from decogs.encoder.change.masks import (
     difference_mask,
     dilate,
     faint_light_mask,
-    full_masks,
     remove_specks,
 )
 from decogs.encoder.settings.frame import MaskSettings
@@ -265,7 +264,7 @@ def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
         changes = memory.pixel_changes([now, now, black], settings)
         assert not any(change.raw.any() for change in changes)
         assert is_missed(memory, [now, now, black], partial(list, [shown] * 3), changes) == found
-        assert [bool(mask.dilated.all()) for mask in full_masks(changes)] == [True, True, False]
+        assert [bool(mask.dilated.all()) for mask in memory.full_masks(changes)] == [True, True, False]
 
 
 @pytest.mark.parametrize(("changed", "found"), [(1, False), (2, True)])

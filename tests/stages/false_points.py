@@ -48,7 +48,7 @@ def false_points(folder: Path) -> tuple[float, float, bool]:
 
 
 def _points(ingest: Ingest, frame: RigFrame, stage: Stage | None) -> NDArray[np.float32]:
-    most = fit_to_pictures([view.pinhole for view in ingest.views], preset("standard").keyframe).first_points
+    most = fit_to_pictures([view.pixels for view in ingest.views], preset("standard").keyframe).first_points
     return first_points(
         [view.pinhole for view in ingest.views],
         [picture.transpose(1, 2, 0) for picture in frame.training],

@@ -24,9 +24,9 @@ from .native import (
     NativeSums,
     adam_step,
     address,
+    check_tiles,
     float_address,
     native_gradients,
-    tile_count,
     training_library,
 )
 from .optimiser import CpuOptimiser, drawn_splats, room_for_gradients
@@ -65,7 +65,9 @@ class CpuKernel:
         *,
         sh_degree: int | None = None,
         depth: bool = False,
+        tiles: NDArray[np.uint8] | None = None,
     ) -> HostPicture:
+        check_tiles(tiles, camera.width, camera.height)
         size, background = (camera.height, camera.width), background or self.background
         picture = HostPicture(
             np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32) if depth else None
@@ -77,9 +79,13 @@ class CpuKernel:
         values = drawn_splats(splats)
         self._scene, self._camera = native_scene(values, sh_degree), native_camera(camera)
         self._shape, self._background = size, background
-        self._picture, self._cotangent = picture, None
+        self._picture, self._cotangent, self._tiles = picture, None, tiles
         status = self._library.decogs_forward(
-            self.handle, ctypes.byref(self._scene), ctypes.byref(self._camera), ctypes.byref(planes)
+            self.handle,
+            ctypes.byref(self._scene),
+            ctypes.byref(self._camera),
+            address(tiles),
+            ctypes.byref(planes),
         )
         check_drawn(status, camera.width, camera.height)
         self._splats = values  # the kernel reads these arrays again on the way back
@@ -133,7 +139,13 @@ class CpuKernel:
         if not hasattr(self, "_picture"):
             raise ValueError("picture_loss needs a forward before it")
         value, self._cotangent = self.loss(
-            self._picture.rgb, target, l1_scale=l1_scale, ssim_scale=ssim_scale, l1_weight=l1_weight, focus=focus
+            self._picture.rgb,
+            target,
+            l1_scale=l1_scale,
+            ssim_scale=ssim_scale,
+            l1_weight=l1_weight,
+            focus=focus,
+            tiles=self._tiles,
         )
         return value
 
@@ -167,8 +179,7 @@ class CpuKernel:
         for plane in (l1_weight, focus):
             if plane is not None and plane.shape != (height, width):
                 raise ValueError(f"weights of shape {plane.shape} for a picture of {height} x {width}")
-        if tiles is not None and (tiles.dtype != np.uint8 or tiles.size != tile_count(width, height)):
-            raise ValueError(f"{tiles.dtype} tiles of shape {tiles.shape} for a picture of {height} x {width}")
+        check_tiles(tiles, width, height)
         planes = (float_address(a) for a in (image, target, l1_weight, focus))
         given = NativeLoss(*planes, address(tiles), l1_scale, ssim_scale, width, height)
         sums = NativeSums()
@@ -206,8 +217,8 @@ class CpuKernel:
             *(float_address(a) for a in (rates, value, gradient, first, second)),
         )
 
-    def fixed_view(self, camera: Camera) -> CpuFixedView:
-        return CpuFixedView(self, camera)
+    def fixed_view(self, camera: Camera, recorded: NDArray[np.bool_] | None = None) -> CpuFixedView:
+        return CpuFixedView(self, camera, recorded)
 
     def optimiser(self, splats: Splats, *, beta1: float = 0.9, beta2: float = 0.999) -> CpuOptimiser:
         return CpuOptimiser(splats, self, beta1=beta1, beta2=beta2)

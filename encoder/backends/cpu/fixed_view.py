@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 class CpuFixedView:
     """``FixedView`` on the native kernel."""
 
-    def __init__(self, kernel: CpuKernel, camera: Camera) -> None:
+    def __init__(self, kernel: CpuKernel, camera: Camera, recorded: NDArray[np.bool_] | None = None) -> None:
+        check_marks(recorded, camera)
         self._library, self._kernel, self.camera = training_library(), kernel, camera
         self._native, self._background = native_camera(camera), (ctypes.c_float * 3)(*kernel.background)
         size = (camera.height, camera.width)
@@ -49,7 +50,8 @@ class CpuFixedView:
         self._drawn: tuple[Drawable, Splats, RowArray] | None = None
         self._cotangent: FloatArray | None = None
         self._evaluated = False
-        self._handle = checked_handle(self._library.decogs_view_create(ctypes.byref(self._native)))
+        self._recorded = recorded  # the kernel reads it at every redraw
+        self._handle = checked_handle(self._library.decogs_view_create(ctypes.byref(self._native), address(recorded)))
 
     def __del__(self) -> None:
         if hasattr(self, "_handle"):

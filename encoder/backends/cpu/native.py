@@ -91,7 +91,13 @@ def training_library() -> ctypes.CDLL:
     library.decogs_trainer_create.restype = handle
     library.decogs_trainer_create.argtypes = [ctypes.c_int]
     library.decogs_trainer_destroy.argtypes = [handle]
-    library.decogs_forward.argtypes = [handle, pointer(NativeScene), pointer(NativeCamera), pointer(NativePlanes)]
+    library.decogs_forward.argtypes = [
+        handle,
+        pointer(NativeScene),
+        pointer(NativeCamera),
+        handle,
+        pointer(NativePlanes),
+    ]
     library.decogs_backward.restype = check_memory
     library.decogs_backward.argtypes = [
         handle,
@@ -101,7 +107,7 @@ def training_library() -> ctypes.CDLL:
         pointer(NativeGradients),
     ]
     library.decogs_view_create.restype = handle
-    library.decogs_view_create.argtypes = [pointer(NativeCamera)]
+    library.decogs_view_create.argtypes = [pointer(NativeCamera), handle]
     library.decogs_view_destroy.argtypes = [handle]
     library.decogs_view_set_scene.argtypes = [handle, handle, pointer(NativeScene)]
     library.decogs_view_detach.restype = check_memory
@@ -164,6 +170,12 @@ def native_gradients(out: SplatGradients, splats: Splats) -> NativeGradients:
         if getattr(out, name).shape != wanted:
             raise ValueError(f"gradients `{name}` of {getattr(out, name).shape} for splats of {wanted}")
     return NativeGradients(*(float_address(getattr(out, name)) for name in (*ATTRIBUTES, "view")))
+
+
+def check_tiles(tiles: NDArray[np.uint8] | None, width: int, height: int) -> None:
+    """Raises ValueError where ``tiles`` are not one byte per tile of the picture."""
+    if tiles is not None and (tiles.dtype != np.uint8 or tiles.size != tile_count(width, height)):
+        raise ValueError(f"{tiles.dtype} tiles of shape {tiles.shape} for a picture of {height} x {width}")
 
 
 def tile_count(width: int, height: int) -> int:

@@ -77,7 +77,9 @@ class CudaKernel:
         *,
         sh_degree: int | None = None,
         depth: bool = False,
+        tiles: NDArray[np.uint8] | None = None,
     ) -> DevicePicture:
+        """All ``tiles`` are drawn: what does not count in the loss has no gradient."""
         lens, stored = self._lenses.of(camera), self.stored(splats, sh_degree)
         self._drawn = self._gradient = None
         projected = self.splatting.project(stored, lens)
@@ -133,8 +135,8 @@ class CudaKernel:
         places, depths = centres(self._last(count).all)
         return read_floats(places), read_floats(depths)
 
-    def fixed_view(self, camera: Camera) -> CudaFixedView:
-        return CudaFixedView(self, camera)
+    def fixed_view(self, camera: Camera, recorded: NDArray[np.bool_] | None = None) -> CudaFixedView:
+        return CudaFixedView(self, camera, recorded)
 
     def optimiser(self, splats: Splats, *, beta1: float = 0.9, beta2: float = 0.999) -> CudaOptimiser:
         return CudaOptimiser(splats, self.splatting.kernels, self.device, beta1=beta1, beta2=beta2)

@@ -43,8 +43,9 @@ class CudaFixedView:
     _gradient: Tensor | None
     _whole: Lists | None
 
-    def __init__(self, kernel: CudaKernel, camera: Camera) -> None:
-        self._kernel, self.camera = kernel, camera
+    def __init__(self, kernel: CudaKernel, camera: Camera, recorded: NDArray[np.bool_] | None = None) -> None:
+        check_marks(recorded, camera)
+        self._kernel, self.camera, self._recorded = kernel, camera, recorded
         self._lens = Lens(camera, kernel.device)
         self._planes = Planes(camera, kernel.device, kernel.background)
         self._tiles = TilesToDraw(self._lens.tiles, kernel.device)
@@ -82,8 +83,16 @@ class CudaFixedView:
 
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
         check_marks(marks, self.camera)
+        if self._recorded is None:
+            return read_floats(self._weights(marks).T)
+        # The kernel's own sum counts what was not recorded, too.
+        marked = np.zeros_like(self._recorded) if marks is None else marks & self._recorded
+        return read_floats(torch.stack([self._weights(self._recorded)[:, 1], self._weights(marked)[:, 1]]))
+
+    def _weights(self, marks: NDArray[np.bool_] | None) -> Tensor:
+        """Every Gaussian's rendering weight, over all pixels and over ``marks``, (N, 2)."""
         on_device, lists = None if marks is None else self._kernel.upload(marks), self._refreshed()
-        return read_floats(self._kernel.splatting.weights(self._all, self._lens, lists, on_device).T)
+        return self._kernel.splatting.weights(self._all, self._lens, lists, on_device)
 
     def _refreshed(self) -> Lists:
         """The lists of the whole scene, drawn unless the picture shows it already."""

@@ -115,6 +115,7 @@ def first_points(
     cameras: Sequence[Camera],
     pictures: Sequence[NDArray[np.float32]],
     *,
+    recorded: Sequence[NDArray[np.bool_] | None] = (),
     given: KnownPoints | None = None,
     cap: int,
     within: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
@@ -123,7 +124,8 @@ def first_points(
 ) -> FirstPoints:
     """At most ``cap`` coloured points on the surfaces the training views see, spread evenly over the pictures.
 
-    ``cameras``: pinhole; ``pictures``: (H, W, 3) RGB 0..1 of the same cameras; ``given``: points to use as well.
+    ``cameras``: pinhole; ``pictures``: (H, W, 3) RGB 0..1 of the same cameras, and their pixels that were ``recorded``,
+    (H, W), where that is not all; ``given``: points to use as well.
     ``within``: which points (P, 3) may be ones; then nothing is guessed beside them. The
     result depends on ``seed`` (guesses where views stay empty), not on ``threads`` (0: all cores). Cameras whose views
     share nothing give guesses only. Raises TrainingError if there are neither known points nor two cameras in two
@@ -138,20 +140,22 @@ def first_points(
         if camera.distortion_model != "none":
             raise TrainingError(f"{camera.name}: first points need undistorted pictures and a pinhole camera")
     with side_by_side(threads) as each:
-        return _first_points(cameras, pictures, given, cap, within, np.random.default_rng(seed), each)
+        recorded = recorded or [None] * len(cameras)
+        return _first_points(cameras, pictures, recorded, given, cap, within, np.random.default_rng(seed), each)
 
 
 def _first_points(
     cameras: Sequence[Camera],
     pictures: Sequence[Array],
+    recorded: Sequence[NDArray[np.bool_] | None],
     given: KnownPoints | None,
     cap: int,
     within: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None,
     random: np.random.Generator,
     each: Each,
 ) -> FirstPoints:
-    coarse = list(each(make_view, cameras, pictures, _scales(cameras, _COARSE_PIXELS, np.inf)))
-    fine = list(each(make_view, cameras, pictures, _scales(cameras, _FINE_PIXELS, _ALL_FINE_PIXELS)))
+    coarse = list(each(make_view, cameras, pictures, _scales(cameras, _COARSE_PIXELS, np.inf), recorded))
+    fine = list(each(make_view, cameras, pictures, _scales(cameras, _FINE_PIXELS, _ALL_FINE_PIXELS), recorded))
     given_cloud = _given_cloud(given, fine)
     if rig_size(fine) <= 0 and not len(given_cloud):
         raise TrainingError(

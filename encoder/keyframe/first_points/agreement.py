@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from decogs.rig.numerics import floats
 
 from .plane_sweep import DepthMap
-from .views import Array, SweepView, between, inside, pixel_rays, project
+from .views import Array, SweepView, between, inside, pixel_rays, project, was_recorded
 
 _MAX_SHIFT_PIXELS = 1.0
 """Largest difference of equal depths, as a displacement in the other picture, in pixels."""
@@ -95,7 +95,9 @@ def _sample(picture: Array, u: Array, v: Array, outside: float) -> Array:
 
 
 def _within(other: SweepView, u: Array, v: Array) -> NDArray[np.bool_]:
-    return np.asarray((u >= 0) & (u <= other.width - 1) & (v >= 0) & (v <= other.height - 1))
+    """Pixel positions (first centre at 0) between pixels that were recorded."""
+    fall = np.asarray((u >= 0) & (u <= other.width - 1) & (v >= 0) & (v <= other.height - 1))
+    return fall if other.recorded is None else fall & was_recorded(other.recorded, u, v, fall)
 
 
 def _similarities(view: SweepView, others: Sequence[SweepView], projections: Sequence[_Projection]) -> Array:
@@ -147,7 +149,8 @@ def _edges(inverse_depth: Array) -> NDArray[np.bool_]:
 
 def _looseness(view: SweepView) -> Array:
     """Factor (H, W) of the distance between points: less where texture is strong."""
-    typical = max(float(np.median(view.contrast)), 1e-6)
+    contrast = view.contrast if view.recorded is None else view.contrast[view.recorded]
+    typical = max(float(np.median(contrast)), 1e-6)
     return np.asarray(np.clip((view.contrast / typical) ** -_CONTRAST_EXPONENT, 1 / _SPACING_RANGE, _SPACING_RANGE))
 
 
@@ -188,6 +191,8 @@ def agree(
     score = _better_half(_similarities(view, [views[j] for j in matched], projections[: len(matched)]))
     keep = (count >= np.where(usable >= 4, 2, 1)) & (score >= _MIN_TEXTURE_CORRELATION) & (through <= count)
     keep &= (inverse_depth > 1e-12) & ~_edges(own)
+    if view.recorded is not None:
+        keep &= view.recorded
     keep &= (count >= 2) | ~_specks(keep, inverse_depth)
     row, column = np.nonzero(keep)
     inverse = inverse_depth[keep]

@@ -30,12 +30,19 @@ class DepthRange:
 
 
 def ray_grid(view: SweepView) -> NDArray[np.float64]:
-    """World directions of a coarse grid of the view's pixels, (G, 3), at unit depth."""
+    """World directions of a coarse grid of the view's recorded pixels, (G, 3), at unit depth."""
+    u, v = _grid_pixels(view)
+    kept = inside(view, u, v)
+    return pixel_rays(view, u[kept], v[kept])
+
+
+def _grid_pixels(view: SweepView) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Columns and rows (G,) of the middles of the grid's cells."""
     u, v = np.meshgrid(
         (np.arange(RAY_GRID[0]) + 0.5) / RAY_GRID[0] * view.width - 0.5,
         (np.arange(RAY_GRID[1]) + 0.5) / RAY_GRID[1] * view.height - 0.5,
     )
-    return pixel_rays(view, u.ravel(), v.ravel())
+    return u.ravel(), v.ravel()
 
 
 def rig_size(views: Sequence[SweepView]) -> float:
@@ -154,7 +161,7 @@ def likely_points(view: SweepView, xyz: NDArray[np.float64], depths: DepthRange 
     if depths is None:
         return np.zeros((0, 3))
     u, v, depth = project(view, xyz)
-    rays = ray_grid(view)
+    across, down = _grid_pixels(view)
     columns, rows = RAY_GRID
     visible = inside(view, u, v) & (depth > 0)
     if not visible.any():
@@ -162,9 +169,10 @@ def likely_points(view: SweepView, xyz: NDArray[np.float64], depths: DepthRange 
     column = np.clip((u[visible] + 0.5) / view.width * columns, 0, columns - 1).astype(np.int64)
     row = np.clip((v[visible] + 0.5) / view.height * rows, 0, rows - 1).astype(np.int64)
     cell, depth = row * columns + column, depth[visible]
-    likely = _medians(depth, cell, len(rays))
+    likely = _medians(depth, cell, columns * rows)
     likely[np.isnan(likely)] = np.median(depth)
-    return np.asarray(view.centre + rays * likely[:, None])
+    kept = inside(view, across, down)
+    return np.asarray(view.centre + pixel_rays(view, across[kept], down[kept]) * likely[kept, None])
 
 
 def _medians(values: NDArray[np.float64], cell: NDArray[np.int64], cells: int) -> NDArray[np.float64]:

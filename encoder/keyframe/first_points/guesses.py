@@ -95,6 +95,15 @@ def random_in_frustum(view: SweepView, depths: DepthRange, count: int, random: n
     return _guess(view, column, row, random.uniform(1 / depths.far, 1 / depths.near, count), _GUESS_SPACING)
 
 
+def _recorded_cells(view: SweepView) -> NDArray[np.bool_]:
+    """Picture cells, (rows, columns), of which something was recorded."""
+    if view.recorded is None:
+        return np.ones((), np.bool_)
+    padded = np.pad(view.recorded, [(0, -size % CELL_PIXELS) for size in view.recorded.shape])
+    rows, columns = (size // CELL_PIXELS for size in padded.shape)
+    return np.asarray(padded.reshape(rows, CELL_PIXELS, columns, CELL_PIXELS).any(axis=(1, 3)))
+
+
 def fill_empty_cells(
     view_depths: ViewDepths, cloud: Cloud, pixels: float, random: np.random.Generator
 ) -> tuple[Cloud, Cloud]:
@@ -103,14 +112,14 @@ def fill_empty_cells(
     Planes are trusted to go on (`continues`) in views in which enough is confirmed.
     """
     view = view_depths.view
-    empty = np.argwhere(cell_counts(view, cloud.xyz) == 0)
+    empty = np.argwhere((cell_counts(view, cloud.xyz) == 0) & _recorded_cells(view))
     if not len(empty):
         return empty_cloud(), empty_cloud()
     inverse_depths = view_depths.confirmed
-    if inverse_depths is None or np.count_nonzero(inverse_depths) < _OWN_DEPTHS_FRACTION * inverse_depths.size:
+    if inverse_depths is None or np.count_nonzero(inverse_depths) < _OWN_DEPTHS_FRACTION * view.pixels:
         inverse_depths = projected_depths(view, cloud.xyz)
     filled = fill_depths(inverse_depths)
-    doubt = 1 - min(1.0, np.count_nonzero(inverse_depths) / (_SUFFICIENT_FRACTION * inverse_depths.size))
+    doubt = 1 - min(1.0, np.count_nonzero(inverse_depths) / (_SUFFICIENT_FRACTION * view.pixels))
     goes_on = continues(inverse_depths) if doubt == 0 else np.zeros(inverse_depths.shape, np.bool_)
     continued = _continued(view, empty, filled, goes_on, pixels, random) if goes_on.any() else empty_cloud()
 
@@ -158,8 +167,10 @@ def _guess(
     inverse: NDArray[np.floating[Any]],
     spacing: float,
 ) -> Cloud:
-    """Points at inverse depths above 0; ``spacing``: in units of that of confirmed points."""
+    """Points at recorded pixels and inverse depths above 0; ``spacing``: in units of that of confirmed points."""
     good = inverse > 1e-12
+    if view.recorded is not None:
+        good &= view.recorded[row, column]
     column, row, depth = column[good], row[good], 1 / inverse[good]
     xyz = view.centre + pixel_rays(view, column.astype(np.float64), row.astype(np.float64)) * depth[:, None]
     spacings = (spacing * depth / view.focal).astype(np.float32)

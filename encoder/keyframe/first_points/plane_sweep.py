@@ -65,6 +65,13 @@ def _behind(homography: NDArray[np.float64], width: int, height: int) -> NDArray
     return np.asarray(a * np.arange(width) + b * np.arange(height)[:, None] + c <= 0)
 
 
+def _recorded_alone(view: SweepView) -> Array:
+    """The view's normalised picture, outside of what was recorded as outside of the picture."""
+    if view.recorded is None:
+        return view.normalised
+    return np.where(view.recorded, view.normalised, np.float32(_OUTSIDE_VALUE))
+
+
 def _better_half(costs: list[Array], looking: NDArray[np.uint8]) -> Array:
     """Twice the mean of the better half of up to four costs: points occluded in some neighbours show in others.
 
@@ -91,13 +98,14 @@ def matching_costs(view: SweepView, neighbours: Sequence[SweepView], planes: Arr
     upright = np.empty((view.height, len(planes), view.width), np.uint8)
     turned = np.empty((view.width, len(planes), view.height), np.uint8)
     mappings = [between(view, other) for other in neighbours]
+    seen = [_recorded_alone(other) for other in neighbours]
     for d, inverse_depth in enumerate(planes):
         per_view: list[Array] = []
         looking = np.zeros((view.height, view.width), np.uint8)
-        for other, (matrix, offset) in zip(neighbours, mappings, strict=True):
+        for normalised, (matrix, offset) in zip(seen, mappings, strict=True):
             homography = matrix + np.outer(offset, (0.0, 0.0, float(inverse_depth)))
             warped = cv2.warpPerspective(
-                other.normalised,
+                normalised,
                 homography,
                 size,
                 flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.cameras.resizing import recorded_pixels
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.colours.srgb import LUMA
 from decogs.rig.numerics import floats
@@ -25,7 +26,8 @@ class SweepView:
 
     ``picture`` (H, W, 3) RGB 0..1; ``normalised`` (H, W) luminance with local mean and contrast taken out, so that
     exposure and white balance of the cameras do not matter; ``centred`` (H, W) with the local mean alone taken out;
-    ``contrast`` (H, W) its standard deviation around each pixel.
+    ``contrast`` (H, W) its standard deviation around each pixel. ``recorded`` (H, W): where the picture was; None means
+    everywhere.
     ``intrinsics`` and its inverse put the centre of the first pixel at (0, 0), as OpenCV's sampling does.
     """
 
@@ -38,6 +40,7 @@ class SweepView:
     rotation: NDArray[np.float64]
     translation: NDArray[np.float64]
     centre: NDArray[np.float64]
+    recorded: NDArray[np.bool_] | None = None
 
     @property
     def width(self) -> int:
@@ -54,12 +57,21 @@ class SweepView:
         """Focal length in pixels, the geometric mean of fx and fy."""
         return float(np.sqrt(self.camera.fx * self.camera.fy))
 
+    @property
+    def pixels(self) -> int:
+        """That were recorded."""
+        return self.width * self.height if self.recorded is None else int(np.count_nonzero(self.recorded))
 
-def make_view(camera: Camera, picture: Array, scale: float) -> SweepView:
-    """The view of ``camera`` at ``scale`` (at most 1) of its resolution; ``picture`` (H, W, 3) RGB 0..1."""
+
+def make_view(camera: Camera, picture: Array, scale: float, recorded: NDArray[np.bool_] | None = None) -> SweepView:
+    """The view of ``camera`` at ``scale`` (at most 1) of its resolution.
+
+    ``picture`` (H, W, 3) RGB 0..1; ``recorded`` (H, W): where it was, None means everywhere.
+    """
     if scale < 1:
         camera = scale_camera(camera, scale)
         picture = floats(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA))
+        recorded = None if recorded is None else recorded_pixels(floats(recorded), camera)
     picture = np.ascontiguousarray(picture)
     luminance = floats(picture @ LUMA.astype(np.float32))
     mean = cv2.GaussianBlur(luminance, (0, 0), _WINDOW_SIGMA)
@@ -79,6 +91,7 @@ def make_view(camera: Camera, picture: Array, scale: float) -> SweepView:
         rotation=rotation,
         translation=translation,
         centre=-rotation.T @ translation,
+        recorded=recorded,
     )
 
 
@@ -103,8 +116,17 @@ def project(
 
 
 def inside(view: SweepView, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Whether pixel positions (first centre at 0) fall inside the picture."""
-    return np.asarray((u > -0.5) & (u < view.width - 0.5) & (v > -0.5) & (v < view.height - 0.5))
+    """Whether pixel positions (first centre at 0) fall inside what was recorded of the picture."""
+    fall = np.asarray((u > -0.5) & (u < view.width - 0.5) & (v > -0.5) & (v < view.height - 0.5))
+    return fall if view.recorded is None else fall & was_recorded(view.recorded, u, v, fall)
+
+
+def was_recorded(
+    recorded: NDArray[np.bool_], u: NDArray[np.floating], v: NDArray[np.floating], fall: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Whether the pixels (H, W) at positions were recorded, for those that ``fall`` into the picture."""
+    column, row = (np.round(np.where(fall, position, 0)).astype(np.int64) for position in (u, v))
+    return recorded[row, column]
 
 
 def between(view: SweepView, other: SweepView) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

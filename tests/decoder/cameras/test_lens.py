@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from decogs.decoder.cameras.lens import (
+    LARGEST_AREA,
     WIDEST,
     Redistortion,
     Undistortion,
     covering_pinhole,
     distort_pixels,
+    training_pinhole,
     undistort,
     undistort_pixels,
 )
-from decogs.formats.cameras import Camera, as_pinhole, is_distorted
+from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, project
 from decogs.formats.errors import UsageError
 
 BARREL = Camera(
@@ -173,8 +175,9 @@ def test_undistorted_dots_lie_where_the_pinhole_sees_them(camera: Camera) -> Non
     shown = np.all((recorded > 10) & (recorded < [camera.width - 10, camera.height - 10]), axis=1)
     assert shown.sum() > 20
     picture, valid = undistort(dots_at(recorded, camera.width, camera.height), camera)
-    assert picture.shape == (camera.height, camera.width)
-    for point in wanted[shown]:
+    pinhole = training_pinhole(camera)
+    assert picture.shape == (pinhole.height, pinhole.width)
+    for point in np.stack(project(pinhole, directions_of(camera, wanted[shown]))[:2], axis=1):
         assert valid[int(point[1]), int(point[0])]
         assert np.hypot(*(centroid(picture, point) - point)) < 0.1
 
@@ -223,7 +226,8 @@ def test_distort_then_undistort_is_the_picture(camera: Camera) -> None:
     recorded = Redistortion(camera).apply(wide)
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     truth = smooth(camera.width, camera.height, u, v)
-    back, valid = undistort(recorded, camera)
+    own = Undistortion(camera, as_pinhole(camera))
+    back, valid = own.apply(recorded), own.valid
     inner = cv2.erode(valid.astype(np.uint8), np.ones((7, 7)), borderValue=0).astype(bool)
     assert inner.mean() > 0.6
     assert np.abs(back - truth)[inner].max() < 0.03
@@ -287,8 +291,9 @@ def test_an_undistorted_camera_costs_nothing(camera: Camera) -> None:
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_pictures_keep_their_type(dtype: type) -> None:
     picture = np.full((BARREL.height, BARREL.width, 3), 200, dtype)
-    assert undistort(picture, BARREL)[0].dtype == dtype
-    np.testing.assert_allclose(undistort(picture, BARREL)[0], picture, rtol=1e-6)
+    straight, valid = undistort(picture, BARREL)
+    assert straight.dtype == dtype
+    np.testing.assert_allclose(straight[valid], 200, rtol=1e-6)
 
 
 def test_a_lens_that_folds_shows_nothing_twice() -> None:
@@ -308,6 +313,56 @@ def test_a_lens_that_folds_shows_nothing_twice() -> None:
     v, u = np.mgrid[:400, :600] + 0.5
     radius = np.hypot((u - 300) / FOLDED.fx, (v - 200) / FOLDED.fy)
     assert not valid[radius > 1.079].any()
+
+
+def wide(model: DistortionModel, focal: float, *coefficients: float) -> Camera:
+    return Camera("wide", 320, 240, focal, focal, 163.0, 117.5, np.eye(4), model, coefficients)
+
+
+@pytest.mark.parametrize(
+    ("camera", "least"),
+    [
+        (wide("opencv", 330.0, -0.25, 0.0, 0.0, 0.0), 1.0),
+        (wide("opencv", 400.0, -0.4, 0.0, 0.002, -0.001), 1.0),
+        (wide("opencv", 260.0, -0.37, 0.13, 0.0, 0.0, -0.02), 1.0),
+        (wide("opencv", 260.0, 0.12, 0.0, 0.0, 0.0), 1.0),
+        (wide("fisheye", 165.0, 0.0, 0.0, 0.0, 0.0), 1.0),
+        (wide("fisheye", 108.0, 0.0, 0.0, 0.0, 0.0), 0.8),  # its corners look backwards, and its sides past `WIDEST`
+    ],
+    ids=["k1 -.25", "k1 -.4", "webcam", "pincushion", "fisheye of 111 degrees", "fisheye of 170 degrees"],
+)
+def test_a_training_picture_shows_every_recorded_pixel_that_can_be_rendered(camera: Camera, least: float) -> None:
+    pinhole = training_pinhole(camera)
+    assert pinhole.width * pinhole.height <= 1.01 * LARGEST_AREA * camera.width * camera.height
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    straight = (undistort_pixels(camera, np.stack([u, v], axis=-1)) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    shown = straight * [pinhole.fx, pinhole.fy] + [pinhole.cx, pinhole.cy]
+    with np.errstate(invalid="ignore"):
+        inside = np.all((shown >= 0) & (shown <= [pinhole.width, pinhole.height]), axis=-1)
+    np.testing.assert_array_equal(inside[Redistortion(camera).covered], True)
+    assert inside.mean() >= least
+    valid = Undistortion(camera).valid
+    at = np.clip(shown[inside].astype(np.int64), 0, [pinhole.width - 1, pinhole.height - 1])
+    # Pixels at the very border may fall on one whose centre lies outside.
+    assert valid[at[:, 1], at[:, 0]].mean() > 0.98
+
+
+def test_the_middle_of_a_training_picture_keeps_its_detail_up_to_two_and_a_half_pictures() -> None:
+    barrel, fisheye = wide("opencv", 330.0, -0.25, 0.0, 0.0, 0.0), wide("fisheye", 120.0, 0.0, 0.0, 0.0, 0.0)
+    assert training_pinhole(barrel).fx == barrel.fx
+    assert 0.3 * fisheye.fx < training_pinhole(fisheye).fx < 0.8 * fisheye.fx
+    flat = as_pinhole(barrel)
+    assert training_pinhole(flat) == flat
+
+
+def test_directions_that_a_lens_squeezes_fivefold_are_not_trained() -> None:
+    """r (1 - .287 r^2) grows by less than a fifth of r from r = .964 on, to the fold at 1.078."""
+    pinhole, plan = training_pinhole(FOLDED), Undistortion(FOLDED)
+    v, u = np.mgrid[: pinhole.height, : pinhole.width] + 0.5
+    radius = np.hypot((u - pinhole.cx) / pinhole.fx, (v - pinhole.cy) / pinhole.fy)
+    assert not plan.valid[radius > 0.965].any()
+    assert plan.valid[(radius < 0.963) & (radius > 0.9)].any()
+    assert pinhole.width < covering_pinhole(FOLDED).width
 
 
 def test_a_very_wide_lens_is_bounded() -> None:

@@ -13,32 +13,39 @@
 
 #include "backward.h"
 #include "incremental_view.h"
+#include "wanted_tiles.h"
 
 namespace decogs {
 
-// Sums of every Gaussian's weight alpha T over a tile: of all pixels, and of marked ones.
+// Sums of every Gaussian's weight alpha T over a tile: of all recorded pixels, and of marked ones.
 struct Weigher {
-    const uint8_t* marks = nullptr;  // one per pixel, or null
+    const uint8_t* recorded = nullptr;  // one per pixel; null: all
+    const uint8_t* marks = nullptr;     // the same; null: none
     float* in_all = nullptr;         // one per entry
     float* marked = nullptr;
     std::array<F, kBatch> all_lanes, marked_lanes;
-    std::array<F, kBlocks> shares;
+    std::array<F, kBlocks> counted, shares;
 
     void start(const Camera& cam, int tile_x, int tile_y) {
         for (int b = 0; b < kBlocks; ++b) {
-            float lanes[kLanes] = {0};
+            float of_all[kLanes] = {0}, of_marked[kLanes] = {0};
             const int x0 = tile_x * kTile + (b % 4) * 4, y0 = tile_y * kTile + (b / 4) * 4;
-            for (int j = 0; marks && j < std::min(4, cam.height - y0); ++j)
-                for (int i = 0; i < std::min(4, cam.width - x0); ++i)
-                    lanes[4 * j + i] = marks[static_cast<int64_t>(y0 + j) * cam.width + x0 + i] ? 1.0f : 0.0f;
-            shares[b] = load(lanes);
+            for (int j = 0; j < std::min(4, cam.height - y0); ++j)
+                for (int i = 0; i < std::min(4, cam.width - x0); ++i) {
+                    const int64_t pixel = static_cast<int64_t>(y0 + j) * cam.width + x0 + i;
+                    if (recorded && !recorded[pixel]) continue;
+                    of_all[4 * j + i] = 1.0f;
+                    of_marked[4 * j + i] = marks && marks[pixel] ? 1.0f : 0.0f;
+                }
+            counted[b] = load(of_all);
+            shares[b] = load(of_marked);
         }
     }
     void begin(int size) {
         for (int e = 0; e < size; ++e) all_lanes[e] = marked_lanes[e] = splat(0.0f);
     }
     void note(int block, int e, const F& weight) {
-        all_lanes[e] = all_lanes[e] + weight;
+        all_lanes[e] = all_lanes[e] + weight * counted[block];
         marked_lanes[e] = marked_lanes[e] + weight * shares[block];
     }
     void end(uint32_t first, int size) {
@@ -57,10 +64,14 @@ struct Weigher {
 
 class FixedView : public IncrementalView {
  public:
-    explicit FixedView(const Camera& camera) : IncrementalView(camera), shown_(tiles_.size()) {}
+    // `recorded`: one byte per pixel, which stay; null: all were. Tiles without any show the background.
+    FixedView(const Camera& camera, const uint8_t* recorded) : IncrementalView(camera), recorded_(recorded), shown_(tiles_.size()) {
+        for (int t = 0; recorded && t < lists_.tiles(); ++t) wanted_.push_back(any_marked(recorded, t));
+    }
 
     void set_scene(Pool& pool, Binner& binner, const Scene& scene) {
         IncrementalView::set_scene(pool, binner, scene);
+        empty_unwanted();
         std::fill(shown_.begin(), shown_.end(), Shown());
     }
 
@@ -72,6 +83,7 @@ class FixedView : public IncrementalView {
     // that they overlap, or overlapped at the last draw. `met` (one byte per tile): whether they overlap it now.
     void draw(Pool& pool, Binner& binner, const Scene& moving, const int64_t* rows, const Planes& out, uint8_t* met) {
         bring(pool, binner, moving, nullptr, rows, moving.count);
+        drop_unwanted(wanted(), arrived_);
         active_.clear();
         for (int t = 0; t < lists_.tiles(); ++t) {
             Shown& shown = shown_[t];
@@ -92,6 +104,7 @@ class FixedView : public IncrementalView {
     // Gradients of `moving` through the last draw.
     void backward(Pool& pool, const Scene& moving, const Cotangents& cotangents, const Gradients& out) {
         moments_.resize(arrived_.tile_of_pair.size() * kMoments);
+        silence_unwanted(wanted(), arrived_, moments_.data());
         each_active(pool, [&](int t) { backward_tile(lists_, trace_, camera_, t, cotangents, moments_.data()); });
         backward_scene(pool, moving, camera_, {arrived_.projected.data(), arrived_.first_pair.data()}, moments_.data(), out);
     }
@@ -99,10 +112,11 @@ class FixedView : public IncrementalView {
     void commit(Pool& pool, Binner& binner, const Scene& scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
                 int64_t before) {
         IncrementalView::commit(pool, binner, scene, rows, rows, count, scene.count, renumbered, before);
+        empty_unwanted();
         for (Shown& shown : shown_) shown.moved = false;
     }
 
-    // Redraws stale tiles. `weights` (2, count) receives every Gaussian's sum of alpha T over all pixels and over marked ones
+    // Redraws stale tiles. `weights` (2, count) receives every Gaussian's sum of alpha T over recorded pixels and over marked ones
     // (`marks`, one byte per pixel; null: none).
     void redraw(Pool& pool, const uint8_t* marks, const Planes& out, float* weights, int64_t count) {
         line_up([&](int t) { return marks && any_marked(marks, t); });
@@ -128,10 +142,18 @@ class FixedView : public IncrementalView {
         bool shallow = true;  // last drawn without depth
     };
 
+    const uint8_t* wanted() const { return wanted_.empty() ? nullptr : wanted_.data(); }
+
+    void empty_unwanted() {
+        for (size_t t = 0; t < wanted_.size(); ++t)
+            if (!wanted_[t]) tiles_[t].statics.clear();
+    }
+
     void weigh(int t, const uint8_t* marks, const Planes& out) {
         // Of its own allocation: Windows aligns what is local to a thread to 16 bytes, and vectors are wider.
         static thread_local const std::unique_ptr<Weigher> kept(new Weigher);
         Weigher& weigher = *kept;
+        weigher.recorded = recorded_;
         weigher.marks = marks;
         weigher.in_all = in_all_.data();
         weigher.marked = marked_.data();
@@ -162,6 +184,8 @@ class FixedView : public IncrementalView {
             for (uint32_t e = lists_.first_entry[t]; e < lists_.first_entry[t + 1]; ++e) weights[count + lists_.entries[e].gaussian] += marked_[e];
     }
 
+    const uint8_t* recorded_;
+    std::vector<uint8_t> wanted_;  // one per tile; empty: all are
     std::vector<Shown> shown_;  // one per tile
     Trace trace_;
     std::vector<float> moments_, in_all_, marked_;

@@ -3,6 +3,7 @@
 #include "backward.h"
 #include "fixed_view.h"
 #include "loss.h"
+#include "wanted_tiles.h"
 
 using namespace decogs;
 
@@ -14,6 +15,7 @@ struct Trainer {
     TileLists lists;
     Trace trace;
     std::vector<float> moments;
+    const uint8_t* wanted = nullptr;  // of the last decogs_forward
     Loss loss;
 };
 Trainer& trainer_of(void* handle) { return *static_cast<Trainer*>(handle); }
@@ -36,16 +38,27 @@ void* decogs_trainer_create(int threads) {
 
 void decogs_trainer_destroy(void* handle) { delete static_cast<Trainer*>(handle); }
 
-int decogs_forward(void* handle, const Scene* scene, const Camera* camera, const Planes* out) {
+// `wanted`: one byte per tile, which stay until the way back; the others show the background. Null: all are.
+int decogs_forward(void* handle, const Scene* scene, const Camera* camera, const uint8_t* wanted, const Planes* out) {
     Trainer& t = trainer_of(handle);
-    return status_of([&] { render_picture(t.pool, t.binner, *scene, *camera, *out, t.lists, &t.trace); });
+    return status_of([&] {
+        t.binner.run(t.pool, *scene, *camera, nullptr, scene->count, t.lists);
+        t.wanted = wanted;
+        drop_unwanted(wanted, t.lists);
+        t.trace.resize(t.lists);
+        t.pool.run(t.lists.rows, [&](int row) {
+            for (int column = 0; column < t.lists.columns; ++column)
+                composite_tile(t.lists, *camera, row * t.lists.columns + column, *out, &t.trace);
+        });
+    });
 }
 
 // Gradients through the last decogs_forward.
 int decogs_backward(void* handle, const Scene* scene, const Camera* camera, const Cotangents* cotangents, const Gradients* out) {
     Trainer& t = trainer_of(handle);
     return status_of([&] {
-        t.moments.resize(t.lists.entries.size() * kMoments);
+        t.moments.resize(t.lists.tile_of_pair.size() * kMoments);
+        silence_unwanted(t.wanted, t.lists, t.moments.data());
         t.pool.run(t.lists.rows, [&](int row) {
             for (int column = 0; column < t.lists.columns; ++column)
                 backward_tile(t.lists, t.trace, *camera, row * t.lists.columns + column, *cotangents, t.moments.data());
@@ -54,8 +67,9 @@ int decogs_backward(void* handle, const Scene* scene, const Camera* camera, cons
     });
 }
 
-void* decogs_view_create(const Camera* camera) {
-    return created([&] { return new FixedView(*camera); });
+// `recorded`: one byte per pixel, which stay as long as the view; null: all were.
+void* decogs_view_create(const Camera* camera, const uint8_t* recorded) {
+    return created([&] { return new FixedView(*camera, recorded); });
 }
 
 void decogs_view_destroy(void* view) { delete static_cast<FixedView*>(view); }
