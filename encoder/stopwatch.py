@@ -8,16 +8,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 
+def _processor_seconds() -> float:
+    """Of all threads of this process."""
+    return time.process_time()
+
+
 @dataclass
 class Stopwatch:
     """Wall-clock seconds by stage, and processor seconds since it was made."""
 
     seconds: dict[str, float] = field(default_factory=dict)
-    began: float = field(default_factory=time.process_time)
+    began: float = field(default_factory=_processor_seconds)
 
     def cpu_seconds(self) -> float:
         """Processor seconds of all threads since it was made."""
-        return time.process_time() - self.began
+        return _processor_seconds() - self.began
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -93,7 +93,7 @@ class Ahead(Iterator[R]):
     """The items in their order, each made on a thread of its own while the one before it is worked on."""
 
     def __init__(self, items: Iterable[R]) -> None:
-        self._coming, self._maker = iter(items), ThreadPoolExecutor(1)
+        self._coming, self._maker = iter(items), ThreadPoolExecutor(1, thread_name_prefix="ahead")
         self._after = self._next()
 
     def __next__(self) -> R:

@@ -111,8 +111,9 @@ class Optimiser(Protocol):
         rates: LearningRates,
         *,
         max_stretch: float = 0.0,
+        reach: FloatArray | None = None,
     ) -> None:
-        """One step of every attribute whose rate is not 0.
+        """One step of every attribute whose rate is not 0; ``reach``: factors (N,) of how far the positions move.
 
         With ``max_stretch``, no Gaussian's largest size is then more than so many times its middle one, unless it was.
         """

@@ -8,12 +8,12 @@ one of another encode is named when they are joined.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from decogs.codec.scene.digest import digest
 from decogs.formats.errors import UsageError
@@ -41,15 +41,38 @@ from .tasks import Outcome
 _KEYFRAME_NAME = "key.dgs"
 
 
+class Engine(Protocol):
+    """What runs parts of a take; a context manager. ``notice``: what the user should know of it, "" for nothing."""
+
+    @property
+    def notice(self) -> str: ...
+
+    def __enter__(self) -> object: ...
+
+    def __exit__(self, *given: object) -> None: ...
+
+    def run(
+        self, job: EncodeJob, parts: Sequence[range], keyframe: bytes | None
+    ) -> Iterator[tuple[range, Outcome] | int]:
+        """Each part's outcome as it comes, and meanwhile the number of frames that are done."""
+        ...
+
+
 def encode_on_cluster(
-    job: EncodeJob, cluster: str, *, progress: OnProgress | None = None, on_warning: OnWarning | None = None
+    job: EncodeJob,
+    cluster: str,
+    *,
+    progress: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
+    new_engine: Callable[..., Engine] = RayEngine,
 ) -> JoinReport:
     """Encodes a job with closed segments, each segment as a task; the stream has the bytes that `encode` writes.
 
     ``cluster``: "local" or the address of a Ray cluster (`RayEngine`). Its machines find the rig, and ``job.keyframe``,
     under the paths given here, and have the same releases installed. ``job.threads``: of each task; 0 is one.
-    ``job.resume``: go on with what is in ``output`` + ".parts". ``progress``: frames done, and frames in all. Raises
-    the errors of `encode`, UsageError without Ray, TryAgainError when the cluster fails.
+    ``job.resume``: go on with what is in ``output`` + ".parts". ``progress``: frames done, and frames in all.
+    ``new_engine``: makes what runs the tasks, as `RayEngine` is made. Raises the errors of `encode`, UsageError without
+    Ray, TryAgainError when the cluster fails.
     """
     if not (job.segment and job.closed):
         raise UsageError("`cluster`: tasks are closed segments; add `segment` and `closed`")
@@ -78,7 +101,7 @@ def encode_on_cluster(
         resume=False,
         threads=0,
     )
-    engine = RayEngine(cluster, threads=job.threads, device=job.device)
+    engine = new_engine(cluster, threads=job.threads, device=job.device)
     if not (job.resume or is_device(stream)):
         GrowingFile(stream, resumable=False).release()  # What cannot be written is said before the training.
     folder = _folder(stream, resume=job.resume)

@@ -18,17 +18,17 @@ from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.lattice import dequantise
 from decogs.codec.scene.state import State, changed_between
 from decogs.formats.errors import TrainingError
-from decogs.formats.splats import Splats, empty_splats
+from decogs.formats.splats import FloatArray, Splats, empty_splats
 from decogs.formats.stream.container import Packet, PacketKind
 from decogs.rig.pictures.ingest import RigFrame, scene_extent
-from decogs.rig.stage.stage import Stage, find_stage
+from decogs.rig.stage.stage import Stage
 
 from ..change.masks import FrameMask, usable_views
 from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
 from ..input.compensation.frame import compensate, find_corrections, match_colours, newly_dropped
-from ..keyframe.first_frame import FirstFrame, train_first_frame
+from ..keyframe.first_frame import FirstFrame, stage_of_keyframe, train_first_frame
 from ..output.reports import OnKeyframeStep
 from ..stopwatch import Stopwatch
 from ..training.method import TrainedFrame
@@ -248,7 +248,8 @@ def earlier_first_frame(context: Context, key: State, header: StreamHeader, reco
     """The first frame whose Gaussians, the ``key``'s, an earlier encode trained."""
     colours, views = header.camera_colours, context.ingest.views
     matched = match_colours(recorded, views, colours)
-    stage = None if context.method.dense else find_stage(views, matched)
+    means = dequantise(key, header.lattice).means
+    stage = None if context.method.dense else stage_of_keyframe(views, matched, means)
     return FirstFrame(key, header.lattice, colours, matched, stage)
 
 
@@ -274,7 +275,7 @@ def begin_scene(
             key = reconstruct(None, written.packet, header) if cut is None else cut.scene.read(written.packet)
         scene = Scene.open(header, key) if cut is None else cut.scene.after(key)
         drift = None if drift is None else replace(drift, first=corrections)
-        start = SceneStart(key, written.packet, frame, drift, _stage_of(context, first, frame))
+        start = SceneStart(key, written.packet, frame, drift, _stage_of(context, first, frame, splats.means))
         memory = (
             _first_memory(context, scene, start)
             if cut is None
@@ -287,10 +288,10 @@ def begin_scene(
     return Encoded(written, scene, memory, frame, cut=cut is not None)
 
 
-def _stage_of(context: Context, first: FirstFrame, compensated: RigFrame) -> Stage | None:
+def _stage_of(context: Context, first: FirstFrame, compensated: RigFrame, means: FloatArray) -> Stage | None:
     """The stage in the ``compensated`` pictures: the one that training found, unless these are others."""
     same = all(map(operator.is_, first.recorded.training, compensated.training))
-    return first.stage if same or context.method.dense else find_stage(context.ingest.views, compensated)
+    return first.stage if same or context.method.dense else stage_of_keyframe(context.ingest.views, compensated, means)
 
 
 def _first_memory(context: Context, scene: Scene, start: SceneStart) -> Memory:

@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.corrections import Corrections
 from decogs.codec.packets.keyframes import keyframe_state
-from decogs.codec.scene.lattice import Lattice, quantise
+from decogs.codec.scene.lattice import Lattice, dequantise, quantise
 from decogs.codec.scene.state import State
 from decogs.formats.errors import RigError
+from decogs.formats.splats import FloatArray
 from decogs.rig.pictures.dropouts import BLACK, blankness
 from decogs.rig.pictures.ingest import Ingest, RigFrame, View
+from decogs.rig.stage.open_air import find_open_air, open_air_of
 from decogs.rig.stage.stage import PlainStage, Stage, find_stage
 
 from ..backends import TrainingKernel
@@ -23,7 +25,7 @@ from ..output.reports import OnKeyframeStep
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import StoppingRule
-from .first_points import FirstPoints, first_points
+from .first_points import FirstPoints, first_points, take_points
 from .harmonics import trim_sh_degree
 from .large_pictures import fit_to_pictures
 from .train import prealigned_pictures, train_keyframe
@@ -86,6 +88,10 @@ def train_first_frame(
             ingest.place_near_planes(points.xyz)
         return points, stage
 
+    def under_sky(points: FirstPoints, stage: Stage | None, frame: RigFrame) -> tuple[FirstPoints, Stage | None]:
+        air = find_open_air(ingest.views, frame, points.xyz) if stage is None else None
+        return (points, stage) if air is None else (take_points(points, air.may_show(points.xyz)), air)
+
     keyframe = settings.keyframe if header is None else replace(settings.keyframe, sh_degree=header.sh_degree)
     colours: Corrections = {} if header is None else header.camera_colours
     with watch.stage("first_points"):
@@ -97,12 +103,14 @@ def train_first_frame(
             frame = match_colours(frame, ingest.views, colours)
             frame_stage = find_stage(ingest.views, frame)
             stage = None if stage is None else frame_stage
+        points, stage = under_sky(points, stage, frame)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
                 kernel, ingest.views, frame.training, points, keyframe, corrector, seed=seed
             )
-            points, stage = points_of(replace(frame, training=prealigned))
+            aligned = replace(frame, training=prealigned)
+            points, stage = under_sky(*points_of(aligned), aligned)
     with watch.stage("keyframe"):
         trained = train_keyframe(
             kernel,
@@ -123,7 +131,14 @@ def train_first_frame(
     if settings.detect_per_frame and header is None:
         values = trim_sh_degree(values)
     state, _ = keyframe_state(values, first_id=first_id)
+    if frame_stage is None:
+        frame_stage = open_air_of(ingest.views, frame, dequantise(values, trained.lattice).means)
     return FirstFrame(state, trained.lattice, colours, frame, frame_stage)
+
+
+def stage_of_keyframe(views: Sequence[View], frame: RigFrame, means: FloatArray) -> Stage | None:
+    """The stage in the first ``frame`` of a keyframe that is there already, with Gaussians at ``means`` (N, 3)."""
+    return find_stage(views, frame) or open_air_of(views, frame, means)
 
 
 def _check_not_black(frame: RigFrame, views: Sequence[View]) -> None:

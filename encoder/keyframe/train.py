@@ -256,7 +256,7 @@ class _KeyframeTraining:
     def _extrapolate_border(self) -> int:
         """Adds Gaussians beside the pictures, where training leaves black; returns how many."""
         settings = self._settings
-        if not settings.surroundings or self._stage is not None:
+        if not settings.surroundings or (self._stage is not None and self._stage.is_closed):
             return 0
         more = border_extrapolation(
             self._kernel,
@@ -323,7 +323,7 @@ class _KeyframeTraining:
         total = self._settings.settle_iterations
         lattice = self._lattice
         if lattice is None:
-            extent, centre = robust_extent(self._optimiser.splats.means)
+            extent, centre = robust_extent(self._near_means())
             lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
         if self._factor != 1:
             self._set_picture_scale(1)
@@ -337,6 +337,11 @@ class _KeyframeTraining:
             loss = self._step(self._settings.iterations)
             self._report("settle", more, min(self._planned, steps + 1 + more), loss, on_step)
         return lattice
+
+    def _near_means(self) -> FloatArray:
+        """Positions of the Gaussians but those of a sky, which would make the lattice's steps coarse."""
+        means, stage = self._optimiser.splats.means, self._stage
+        return means if stage is None or stage.is_closed else means[~stage.on_backdrop(means)]
 
     def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
         """Sets these attributes to ``points`` of the lattice and freezes them."""
@@ -376,7 +381,8 @@ class _KeyframeTraining:
         gradients = self._kernel.backward(self._optimiser)
         self._view_gradients.add(gradients, camera)
         rates = self._rates(step / self._settings.iterations)
-        self._optimiser.step(gradients, rates, max_stretch=self._tuning.max_stretch)
+        reach = None if self._stage is None else self._stage.reach(self._optimiser.splats.means)
+        self._optimiser.step(gradients, rates, max_stretch=self._tuning.max_stretch, reach=reach)
         self._densify(step)
         return value
 

@@ -22,6 +22,9 @@ from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
 from .schedule import UNKNOWN_PACE, WHOLE, Pace, StoppingRule
 
+GROW_GRADIENT = 1e-4
+"""Mean view gradient from which a Gaussian is cloned or split (the paper's tau_d)."""
+
 MAX_GROWTH = 1.25
 """Bound of the scene's size by clones and splits, as a multiple of the keyframe's. Without it long streams keep
 growing: the tests' scene from 2 500 Gaussians to 18 000 in a thousand frames, which costs 2 dB."""
@@ -36,9 +39,10 @@ class TrainingContext:
     """Constants of a stream's training.
 
     ``views``: the training views. ``static_views``: their renderings of the scene, updated by the loop; empty for a
-    dense method. ``population``: Gaussians of the keyframe. ``max_gaussians``: bound for clones and splits. ``extent``:
-    size of the rig, world units; position rates scale with it. ``box``: corners (3,) around the scene, the domain of a
-    transformation cache. ``threads``: at least 1; results do not depend on it.
+    dense method. ``population``: Gaussians of the keyframe. ``max_gaussians``: bound for clones and splits;
+    ``grow_gradient``: mean view gradient from which there are any. ``extent``: size of the rig, world units; position
+    rates scale with it. ``box``: corners (3,) around the scene, the domain of a transformation cache. ``threads``: at
+    least 1; results do not depend on it.
     """
 
     kernel: TrainingKernel
@@ -51,6 +55,7 @@ class TrainingContext:
     box: tuple[NDArray[np.float64], NDArray[np.float64]]
     seed: int
     threads: int = 1
+    grow_gradient: float = GROW_GRADIENT
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,6 @@ from .densification import clone_and_split
 from .frame_training import FrameTraining
 from .working_set import WorkingSet
 
-_GROW_GRADIENT = 1e-4
-"""Mean view gradient from which a Gaussian is cloned or split (the paper's tau_d)."""
 _LARGE_SIGMA_EXTENTS = 0.01
 """Sigma, in units of the rig's extent, from which a Gaussian is split and not cloned (3DGS's)."""
 
@@ -56,7 +54,7 @@ def _grow(
         own,
         gathered.mean(),
         eligible,
-        threshold=_GROW_GRADIENT,
+        threshold=training.context.grow_gradient,
         room=room,
         large=_LARGE_SIGMA_EXTENTS * training.context.extent,
         random=training.random,

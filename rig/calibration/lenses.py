@@ -161,9 +161,9 @@ def focal_deviation(views: Sequence[BoardView], corners: F64, size: tuple[int, i
 
 
 def _board_points(views: Sequence[BoardView], corners: F64) -> tuple[list[F32], list[F32]]:
-    """Points on the board and pixels of each view, as OpenCV takes them."""
-    points = [corners[view.numbers].astype(np.float32).reshape(-1, 1, 3) for view in views]
-    return points, [(view.pixels - 0.5).astype(np.float32).reshape(-1, 1, 2) for view in views]
+    """Points on the board and pixels of each view, as OpenCV takes them: in a row, or OpenCV 5 fits no fisheye."""
+    points = [corners[view.numbers].astype(np.float32).reshape(1, -1, 3) for view in views]
+    return points, [(view.pixels - 0.5).astype(np.float32).reshape(1, -1, 2) for view in views]
 
 
 def _spread(views: Sequence[BoardView]) -> list[BoardView]:

@@ -35,13 +35,18 @@ _MIN_SUBJECT_SHARE = 2e-4
 
 def plain_pixels(picture: FloatArray) -> BoolArray:
     """Pixels (H, W) of large regions without texture; ``picture`` (H, W, 3) RGB 0..1."""
-    deviation, noise = _deviation(picture)
-    plain = (deviation <= _MAX_NOISE_RATIO * noise).astype(np.uint8)
-    opened = cv2.morphologyEx(plain, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    opened = smooth_pixels(picture).view(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
-    large = stats[:, cv2.CC_STAT_AREA] >= _MIN_REGION_SHARE * plain.size
+    large = stats[:, cv2.CC_STAT_AREA] >= _MIN_REGION_SHARE * opened.size
     large[0] = False
     return np.asarray(large[labels])
+
+
+def smooth_pixels(picture: FloatArray) -> BoolArray:
+    """Pixels (H, W) without texture above the picture's noise; ``picture`` (H, W, 3) RGB 0..1."""
+    deviation, noise = _deviation(picture)
+    smooth = (deviation <= _MAX_NOISE_RATIO * noise).astype(np.uint8)
+    return cv2.morphologyEx(smooth, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
 def _deviation(picture: FloatArray) -> tuple[FloatArray, float]:

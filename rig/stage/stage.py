@@ -54,6 +54,10 @@ class Stage(Protocol):
     def hull(self) -> Hull:
         """Of what may stand there."""
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether backdrop and hull are all there is: nothing has to be guessed beside the pictures."""
+
     def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> Stage:
         """The same in a later frame, from the ``used`` ones of its pictures."""
 
@@ -68,6 +72,9 @@ class Stage(Protocol):
 
     def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) at which a view may show something in front of the backdrop."""
+
+    def reach(self, xyz: NDArray[np.floating]) -> FloatArray | None:
+        """Factors (P,) of the step sizes at which points (P, 3) move; None for one."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,8 @@ class BackdropStage:
     rgb: FloatArray
     spacing: float
 
+    is_closed = True
+
     def backdrop(self, sh_degree: int) -> Splats:
         """Gaussians for the backdrop, together opaque."""
         sigmas, opacities = np.full(len(self.xyz), _SIGMA_SPACINGS * self.spacing), np.full(len(self.xyz), _OPACITY)
@@ -101,6 +110,9 @@ class BackdropStage:
     def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) in front of the backdrop, in the hull."""
         return np.asarray(self.hull.holds(xyz) & (self.surfaces.clearance(xyz) > 0))
+
+    def reach(self, xyz: NDArray[np.floating]) -> None:
+        """The same steps everywhere."""
 
 
 @dataclass(frozen=True)

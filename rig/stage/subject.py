@@ -20,6 +20,8 @@ class SubjectAlone:
 
     hull: Hull
 
+    is_closed = True
+
     def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> SubjectAlone:
         """The same with the hull of a later frame, from the ``used`` ones of its mattes."""
         return subject_alone([views[i] for i in used], [frame.alpha[i] for i in used])
@@ -39,6 +41,9 @@ class SubjectAlone:
     def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) in the hull."""
         return self.hull.holds(xyz)
+
+    def reach(self, xyz: NDArray[np.floating]) -> None:
+        """The same steps everywhere."""
 
 
 def subject_alone(views: Sequence[View], alphas: Sequence[FloatArray]) -> SubjectAlone:

@@ -17,7 +17,6 @@ from decogs.encoder.job.switches import ablate
 from decogs.encoder.methods import FRAME_METHODS, method_of
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
-from decogs.encoder.training import selective_densification
 from decogs.encoder.training.method import FrameMethod, FrameTrainer
 from decogs.formats.errors import UsageError
 from one_frame import BOX, Case, bits, moved_square, train, training_context
@@ -71,11 +70,9 @@ def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case, method
 
 
 @METHODS
-def test_without_the_gate_what_is_selected_grows_alone(
-    case: Case, method: FrameMethod, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 0.0)
-    trainer, settings = ablated(case, method, "gate", grow_fraction=1.0, prune_opacity=0.0)
+def test_without_the_gate_what_is_selected_grows_alone(case: Case, method: FrameMethod) -> None:
+    eager = replace(method, trainer=lambda context: method.trainer(replace(context, grow_gradient=0.0)))
+    trainer, settings = ablated(case, eager, "gate", grow_fraction=1.0, prune_opacity=0.0)
     assert 0 < len(train(trainer, *given(case), frame=1, settings=settings).added) <= case.selected.sum()
 
 

@@ -52,11 +52,12 @@ def tiny_settings() -> EncodeSettings:
 
 @dataclass
 class Encoded:
-    """One encode and what was seen of it from outside: the encoder's own state and S_t after every frame."""
+    """One encode and what was seen of it: after every frame, the encoder's own state, all it has of it, and S_t."""
 
     path: Path
     report: EncodeReport
     states: list[State] = field(default_factory=list)
+    frames: list[EncodedFrame] = field(default_factory=list)
     selected: dict[int, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -78,11 +79,13 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     chosen: dict[str, Any] = {
         "settings": TINY, "holdout": [HELD_OUT], "seed": 0, "threads": 1, "scale": 1.0, "on_frame": None,
         "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None, "resume": False, "kernel": None,
+        "context": lambda context: context,
     } | options  # fmt: skip
     opened = open_rig(rig)
     lens = chosen["settings"].corrections.lens
     ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"], lens=lens)
     states: list[State] = []
+    frames: list[EncodedFrame] = []
     selected: dict[int, np.ndarray] = {}
     select, begin, encode_one = plan.select, stream_encoder.begin_scene, stream_encoder.encode_frame
 
@@ -90,6 +93,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         def and_noted(*arguments: Any) -> EncodedFrame:
             encoded = encode(*arguments)
             states.append(encoded.scene.state)
+            frames.append(encoded)
             return encoded
 
         return and_noted
@@ -113,16 +117,16 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         )
         span = range(chosen["start"], chosen["stop"] or opened.frame_count)
         given = {name: chosen[name] for name in ("seed", "threads", "kernel")}
-        context = Context.of(ingest, chosen["settings"], **given)
+        context = chosen["context"](Context.of(ingest, chosen["settings"], **given))
         report = encode_stream(context, output, span, options, resume=chosen["resume"])
-    return Encoded(output, report, states, selected)
+    return Encoded(output, report, states, frames, selected)
 
 
 @pytest.fixture(scope="session")
 def encode(tmp_path_factory: pytest.TempPathFactory) -> Encode:
     """``encode(rig, settings=, holdout=, seed=, threads=, scale=, start=, stop=, keyframe=, resume=, output=)``.
 
-    It observes what it runs. ``kernel=``: None is the native one.
+    It observes what it runs. ``kernel=``: None is the native one. ``context=``: makes another one of the encode's.
     """
 
     def run(rig: Path, *, output: Path | None = None, **options: Any) -> Encoded:

@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.coding.scene as scene
 from decogs.codec.packets.corrections import Correction
 from decogs.codec.scene.digest import digest
 from decogs.codec.scene.state import ARRAYS
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, Switches, Targets
-from decogs.encoder.coding.rate_control import RateControl, with_budget
-from decogs.encoder.frame import train
+from decogs.encoder.coding.rate_control import with_budget
+from decogs.encoder.coding.scene import IDS_PER_SEGMENT
+from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import SignificanceSettings
+from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame
 from decogs.formats.errors import UsageError
+from decogs.formats.splats import empty_splats
 from decogs.formats.stream.container import FRAME_KINDS, PacketKind
 from encode_rig import encode_rig
 from noting_kernel import NotingKernel
@@ -161,13 +163,21 @@ def test_threads_make_no_difference(encode: Any, rig_of: Any, key: Path, tiny_se
     assert one.data == three.data
 
 
-def test_more_rounds_come_nearer(
-    encode: Any, rig_of: Any, key: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings = closed(remembering(tiny_settings), cross_fade=0)
-    three = encode(rig_of(MOMENTS), settings=settings, keyframe=key)
-    monkeypatch.setattr(train, "_CATCH_UP_ROUNDS", 1)
-    one = encode(rig_of(MOMENTS), settings=settings, keyframe=key)
+class OneRound(DecogsTrainer):
+    """Trains a frame once, and gives it up in later rounds."""
+
+    trained = -1
+
+    def train(self, frame: FrameInput, /) -> TrainedFrame:
+        again, self.trained = frame.index == self.trained, frame.index
+        rows, none = np.zeros(0, np.int64), empty_splats(frame.scene.sh_degree)
+        return TrainedFrame(rows, none, rows, none, rejected=True) if again else super().train(frame)
+
+
+def test_more_rounds_come_nearer(encode: Any, rig_of: Any, key: Path, tiny_settings: Any) -> None:
+    given = {"settings": closed(remembering(tiny_settings), cross_fade=0), "keyframe": key}
+    three = encode(rig_of(MOMENTS), **given)
+    one = encode(rig_of(MOMENTS), **given, context=lambda context: replace(context, method=FrameMethod(OneRound)))
     assert one.report.frames[3].training_psnr < three.report.frames[3].training_psnr
     assert payloads(one.path)[:3] == payloads(three.path)[:3], "rounds are of a segment's first frame only"
 
@@ -178,20 +188,10 @@ def test_streams_without_closed_segments_say_nothing_of_them(moving: Any) -> Non
 
 
 def test_every_closed_segment_has_a_rate_control_of_its_own(
-    encode: Any, rig_of: Any, key: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+    encode: Any, rig_of: Any, key: Path, tiny_settings: Any
 ) -> None:
-    heard: list[tuple[int, int]] = []
-    after = RateControl.after
-
-    def noted(control: RateControl, kind: int, size: int) -> RateControl:
-        heard.append((control.frames, kind))
-        return after(control, kind, size)
-
-    monkeypatch.setattr(RateControl, "after", noted)
     encoded = encode(rig_of(MOMENTS), settings=closed(of_budget(tiny_settings), cross_fade=0), keyframe=key)
-    kinds = [packet.kind for packet in packets(encoded.path)]
-    assert [kind for _, kind in heard] == kinds[1:], "what follows the first keyframe"
-    assert [frames for frames, _ in heard] == [*range(2), *range(len(kinds) - 3)], "each counts from its start"
+    assert [frame.memory.rate.frames for frame in encoded.frames] == [0, 1, 2, 1, 2, 3], "each counts from its start"
 
 
 @pytest.mark.parametrize(
@@ -211,14 +211,14 @@ def test_what_does_not_go_with_closed_segments(
 
 
 def test_segments_whose_ids_are_too_far_apart_to_be_listed(
-    rig_of: Any, encode: Any, key: Path, tiny_settings: EncodeSettings, monkeypatch: pytest.MonkeyPatch
+    rig_of: Any, encode: Any, key: Path, tiny_settings: EncodeSettings
 ) -> None:
     """From the seventeenth segment on, its Gaussians and the first keyframe's are 2^35 ids apart."""
-    monkeypatch.setattr(scene, "IDS_PER_SEGMENT", 1 << 36)
-    encoded = encode(rig_of(MOMENTS), settings=closed(remembering(tiny_settings)), keyframe=key)
-    ids = encoded.states[3].ids
-    assert int(ids[-1]) >= 1 << 36, "it has Gaussians of its own"
-    assert int(ids[0]) < 1 << 35
+    settings = replace(remembering(tiny_settings), segment=1, closed=True)
+    encoded = encode(rig_of((0,) * 16 + (3, 3)), settings=settings, keyframe=key)
+    ids = encoded.states[-1].ids
+    assert int(ids[-1]) >= 17 * IDS_PER_SEGMENT >= 1 << 35, "it has Gaussians of its own"
+    assert int(ids[0]) < IDS_PER_SEGMENT
     with open_stream(encoded.path) as stream:
         assert [digest(frame.state) for frame in stream.frames()] == [digest(state) for state in encoded.states]
-        assert digest(next(iter(stream.frames(4))).state) == digest(encoded.states[4])
+        assert digest(next(iter(stream.frames(17))).state) == digest(encoded.states[17])

@@ -7,6 +7,7 @@ With a real Ray cluster of several nodes on this machine; skipped where Ray is n
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import sys
@@ -17,6 +18,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
+import cv2
+import numpy as np
 import pytest
 
 from decogs.decoder.exporting.exporting import export
@@ -205,15 +208,14 @@ class Here:
 
 
 @pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch, rig: Path, tiny_settings: Any, tmp_path: Path) -> Callable[..., list[str]]:
+def here(rig: Path, tiny_settings: Any, tmp_path: Path) -> Callable[..., list[str]]:
     """Encodes to scene.dgs without Ray; what was warned of."""
-    monkeypatch.setattr("decogs.encoder.cluster.encoding.RayEngine", Here)
 
     def run(*, progress: Any = None, **options: Any) -> list[str]:
         told: list[str] = []
         given = {"segment": SEGMENT, "closed": True, "frames": slice(4)} | options
         job = EncodeJob(rig, tmp_path / "scene.dgs", tiny_settings, **given)
-        encode_on_cluster(job, "local", progress=progress, on_warning=told.append)
+        encode_on_cluster(job, "local", progress=progress, on_warning=told.append, new_engine=Here)
         return told
 
     return run
@@ -471,35 +473,39 @@ def test_what_a_task_was_given_may_be_lost(monkeypatch: pytest.MonkeyPatch) -> N
                 engine._outcome(None)
 
 
-def test_an_outcome_says_whether_to_try_again(
-    rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+class Failing:
+    """A rig's folder on a machine that fails."""
+
+    def __init__(self, error: Exception) -> None:
+        self._error = error
+
+    def __fspath__(self) -> str:
+        raise self._error
+
+
+def test_an_outcome_says_whether_to_try_again(rig: Path, tiny_settings: Any, tmp_path: Path) -> None:
+    rig = Path(shutil.copytree(rig, tmp_path / "rig"))
+    cv2.imwrite(str(rig / "cam03" / "0001.png"), np.zeros((48, 64, 3), np.uint8))
     job = EncodeJob(str(rig), tmp_path / "part.dgs", replace(tiny_settings, segment=SEGMENT, closed=True), threads=1)
     told: list[int] = []
     outcome = run_part(job, range(1), None, told.append)
     assert (outcome.problem, outcome.again, told) == ("", False, [1])
     key = outcome.data
     assert key
+    assert outcome.warnings == ()
+    second = run_part(job, range(2), None, told.append)
+    assert second.data
+    assert second.warnings == ("camera cam03 was left out of frame 1: its picture is black",)
+    told.clear()
     assert run_part(job, range(2, 4), key, told.append).data
-    assert told == [1, 1, 2], "the keyframe is none of the part's frames"
+    assert told == [1, 2], "the keyframe is none of the part's frames"
     lacking = run_part(job, range(2, 4), None, told.append)
     assert "parts after the first start from its keyframe" in lacking.problem
     assert not lacking.again
 
     for error in (TryAgainError("the disk is full"), OSError("no space left"), MemoryError("out of memory")):
-
-        def fail(*_: Any, error: Exception = error, **__: Any) -> None:
-            raise error
-
-        monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", fail)
-        assert run_part(job, range(1), None, told.append) == Outcome(problem=str(error), again=True)
-
-    def warning(job: EncodeJob, *, on_warning: Callable[[str], None], **_: Any) -> None:
-        on_warning("cam03 is dark")
-        Path(str(job.output)).write_bytes(b"a part")
-
-    monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", warning)
-    assert run_part(job, range(1), None, told.append) == Outcome(b"a part", warnings=("cam03 is dark",))
+        gone = replace(job, rig=Failing(error))  # type: ignore[arg-type]
+        assert run_part(gone, range(1), None, told.append) == Outcome(problem=str(error), again=True)
 
 
 @pytest.mark.parametrize(

@@ -477,28 +477,30 @@ def test_the_dense_baseline_sees_compensated_pictures(
 
 
 def test_a_correction_that_does_not_pay_is_dropped(
-    encode: Any, moving_rig: Path, moving: Any, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    encode: Any, moving_rig: Path, moving: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
     """A camera is said to darken that does not; after two frames it is left alone, in a resumed encode, too."""
-    find = Corrector.find
 
-    def wrong(self: Corrector, memory: Any, recorded: Any, show: Any) -> Any:
-        found = find(self, memory, recorded, show)
-        if ("cam01", "colours") not in memory.dropped and memory.first:
-            found["cam01"] = replace(found["cam01"], exposure=found["cam01"].exposure - 2000)
-        return found
+    class Wrong(Corrector):
+        def find(self, memory: Any, recorded: Any, show: Any) -> Any:
+            found = super().find(memory, recorded, show)
+            if ("cam01", "colours") not in memory.dropped and memory.first:
+                found["cam01"] = replace(found["cam01"], exposure=found["cam01"].exposure - 2000)
+            return found
 
-    monkeypatch.setattr(Corrector, "find", wrong)
+    def mistaken(context: Any) -> Any:
+        return replace(context, corrector=Wrong(context.ingest.views, context.settings.corrections))
+
     settings = replace(tiny_settings, corrections=CorrectionSettings(exposure=("cam01",)))
-    encoded = encode(moving_rig, settings=settings, keyframe=moving.path)
+    given = {"settings": settings, "keyframe": moving.path, "context": mistaken}
+    encoded = encode(moving_rig, **given)
     assert [frame.uncorrected for frame in encoded.report.frames] == [[], [], ["cam01: colours"], []]
     with open_stream(encoded.path) as stream:
         told = [frame.corrections["cam01"].exposure for frame in stream.frames()]
     assert told[1] < -1000
     assert told[3] == told[0]
     (tmp_path / "scene.dgs.part").write_bytes(encoded.cut_off(3))
-    resumed = encode(moving_rig, settings=settings, keyframe=moving.path, output=tmp_path / "scene.dgs", resume=True)
-    assert resumed.data == encoded.data
+    assert encode(moving_rig, output=tmp_path / "scene.dgs", resume=True, **given).data == encoded.data
 
 
 # Nothing named, nothing done

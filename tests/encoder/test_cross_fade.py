@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -20,8 +21,9 @@ from decogs.encoder.backends import ATTRIBUTES, training_kernel
 from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.frame.cross_fade import CrossFade, cross_fade, fade_cameras
 from decogs.encoder.frame.next_segment import with_following
+from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
-from decogs.encoder.training.method import TrainedFrame
+from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame, TrainingContext
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import Splats, empty_splats, take_splats
 from decogs.rig.pictures.ingest import RigFrame
@@ -162,14 +164,22 @@ def still_rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(tiny_rig.write(tmp_path_factory.mktemp("still") / "rig", frames=STILL, noise=1.0))
 
 
-def test_a_start_does_not_jump(encode: Any, tiny_rig: Any, still_rig: Path, tiny_settings: Any) -> None:
+@pytest.fixture(scope="module")
+def jumps(encode: Any, still_rig: Path, tiny_settings: Any) -> Any:
+    """The take without a cross-fade."""
+    return encode(still_rig, settings=fading(tiny_settings, 0))
+
+
+@pytest.fixture(scope="module")
+def fades(encode: Any, still_rig: Path, tiny_settings: Any) -> Any:
+    return encode(still_rig, settings=fading(tiny_settings))
+
+
+def test_a_start_does_not_jump(jumps: Any, fades: Any, tiny_rig: Any) -> None:
     """Things have come to rest, so that all that changes in the left-out view is what two trainings err differently."""
-    pictures = {}
-    for frames in (0, 3):
-        states = encode(still_rig, settings=fading(tiny_settings, frames))
-        pictures[frames] = changes(states.path, tiny_rig.held_out)
-    assert max(pictures[3][2:]) < 0.7 * max(pictures[0][2:]), pictures
-    assert pictures[0][-1] == max(pictures[0][2:]), "without a cross-fade, the start is where it jumps"
+    sharp, soft = (changes(encoded.path, tiny_rig.held_out) for encoded in (jumps, fades))
+    assert max(soft[2:]) < 0.7 * max(sharp[2:]), (soft, sharp)
+    assert sharp[-1] == max(sharp[2:]), "without a cross-fade, the start is where it jumps"
 
 
 def changes(path: Path, camera: str) -> list[float]:
@@ -179,9 +189,40 @@ def changes(path: Path, camera: str) -> list[float]:
     return [float(np.abs(now - was).mean()) for was, now in pairwise(seen)]
 
 
-def test_the_start_itself_has_the_same_bits(encode: Any, still_rig: Path, tiny_settings: Any) -> None:
+class Noted(DecogsTrainer):
+    """Notes the frames that it trains; one diverges."""
+
+    def __init__(self, context: TrainingContext, noted: Counter[int], diverges: int) -> None:
+        super().__init__(context)
+        self._noted, self._diverges = noted, diverges
+
+    def train(self, frame: FrameInput, /) -> TrainedFrame:
+        self._noted[frame.index] += 1
+        return replace(super().train(frame), rejected=frame.index == self._diverges)
+
+
+@pytest.mark.parametrize("diverges", [-1, 6])
+def test_a_segment_is_trained_once_for_all_frames_that_go_over_to_it(
+    encode: Any, tiny_rig: Any, moving: Any, tiny_settings: Any, tmp_path: Path, diverges: int
+) -> None:
+    """Its first frame in three rounds, and from there back; those frames are counted on from the start."""
+    rig, noted = tiny_rig.write(tmp_path / "rig", frames=(0, 1, 3, 1, 3, 1, 3)), Counter[int]()
+    encoded = encode(
+        rig,
+        settings=replace(tiny_settings, segment=3, closed=True, cross_fade=2),
+        keyframe=moving.path,
+        context=lambda context: replace(
+            context, method=FrameMethod(lambda constants: Noted(constants, noted, diverges))
+        ),
+    )
+    by_itself, backwards = (1, 2, 4, 5), (4, 5, 7, 8)
+    rounds = {3: 3, 6: 3 if diverges < 0 else 1}
+    assert noted == Counter([*by_itself, *backwards]) + Counter(rounds)
+    assert [frame.rejected for frame in encoded.report.frames] == [index == diverges for index in range(7)]
+
+
+def test_the_start_itself_has_the_same_bits(jumps: Any, fades: Any) -> None:
     """With a cross-fade it is trained for the frames before it, and written as it was trained."""
-    (jumps, fades) = (encode(still_rig, settings=fading(tiny_settings, frames)) for frames in (0, 3))
     for name in (*ATTRIBUTES, "ids"):
         np.testing.assert_array_equal(getattr(fades.states[6], name), getattr(jumps.states[6], name))
     assert len(fades.states) == len(STILL)
@@ -190,14 +231,13 @@ def test_the_start_itself_has_the_same_bits(encode: Any, still_rig: Path, tiny_s
 
 
 def test_a_cross_fade_is_resumed_to_the_same_bytes(
-    encode: Any, still_rig: Path, tiny_settings: Any, tmp_path: Path
+    encode: Any, still_rig: Path, fades: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
-    whole = encode(still_rig, settings=fading(tiny_settings))
-    for frames in (3, 4, 5, 6):
+    for frames in (3, 4, 6):
         path = tmp_path / f"{frames}.dgs"
-        path.with_name(f"{path.name}.part").write_bytes(whole.cut_off(frames, 9))
+        path.with_name(f"{path.name}.part").write_bytes(fades.cut_off(frames, 9))
         resumed = encode(still_rig, settings=fading(tiny_settings), output=path, resume=True)
-        assert resumed.data == whole.data, frames
+        assert resumed.data == fades.data, frames
 
 
 def test_no_frame_goes_over_to_another_scene(encode: Any, tiny_rig: Any, tiny_settings: Any, tmp_path: Path) -> None:
@@ -212,10 +252,10 @@ def test_no_frame_goes_over_to_another_scene(encode: Any, tiny_rig: Any, tiny_se
 
 
 def test_the_log_has_the_steps_of_the_frames_that_are_written(
-    encode: Any, still_rig: Path, tiny_settings: Any, tmp_path: Path
+    still_rig: Path, fades: Any, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
-    log = tmp_path / "steps.jsonl"
-    encode_rig(still_rig, tmp_path / "x.dgs", fading(tiny_settings), threads=1, convergence_log=log)
+    log, given = tmp_path / "steps.jsonl", {"threads": 1, "keyframe": fades.path, "holdout": [tiny_rig.held_out]}
+    encode_rig(still_rig, tmp_path / "x.dgs", fading(tiny_settings), convergence_log=log, **given)
     stages: dict[int, dict[str, int]] = {}
     for record in map(json.loads, log.read_text().splitlines()):
         counts = stages.setdefault(record["frame"], {})

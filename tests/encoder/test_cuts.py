@@ -13,15 +13,14 @@ import pytest
 
 import decogs.encoder.coding.scene as coding_scene
 import decogs.encoder.frame.encode_frame as encode_frame
-import decogs.encoder.frame.events as events
 import decogs.encoder.stream.encoder as stream_encoder
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.digest import digest
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rasterise import render
 from decogs.decoder.reading.stream import open_stream
+from decogs.encoder import EncodeSettings
 from decogs.encoder.change.cuts import shows_another_scene
-from decogs.encoder.keyframe.first_frame import train_first_frame
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import join_splats
@@ -106,9 +105,12 @@ def check_decoded(encoded: Any) -> list[PacketKind]:
     return [report.kind for report in encoded.report.frames]
 
 
-def test_another_scene_gets_a_keyframe(
-    cut_rig: Path, encode: Any, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def uncut(settings: EncodeSettings) -> EncodeSettings:
+    """With a time for each frame, more than any takes, within which no keyframe is trained."""
+    return replace(settings, time_budget=1e4)
+
+
+def test_another_scene_gets_a_keyframe(cut_rig: Path, encode: Any, tiny_settings: Any) -> None:
     steps: list[int] = []
     settings = replace(tiny_settings, keyframe=replace(tiny_settings.keyframe, iterations=200))
     cut = encode(cut_rig, settings=settings, on_keyframe_step=lambda step, steps_, loss: steps.append(step))
@@ -117,8 +119,7 @@ def test_another_scene_gets_a_keyframe(
     assert steps.count(1) == 2, "the progress of both keyframes is told"
     before, after = cut.states[1], cut.states[2]
     assert int(after.ids[0]) == before.next_id, "no Gaussian of the former scene is left, and no id is given twice"
-    monkeypatch.setattr(events, "shows_another_scene", lambda *_: False)
-    kept = encode(cut_rig, settings=settings, keyframe=cut.path)
+    kept = encode(cut_rig, settings=uncut(settings), keyframe=cut.path)
     assert check_decoded(kept)[2] == "delta"
     gain = [
         one.held_out_psnr - other.held_out_psnr
@@ -178,21 +179,22 @@ def test_no_keyframe_is_trained_within_a_time_budget(cut_rig: Path, encode: Any,
 
 
 def test_a_cut_that_cannot_be_a_keyframe_is_trained_as_other_frames_are(
-    cut_rig: Path, encode: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    cut_rig: Path, encode: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
-    def fails(*arguments: Any, header: Any = None, **options: Any) -> Any:
-        if header is not None:
-            raise TrainingError("no points")
-        return train_first_frame(*arguments, header=header, **options)
+    begun: list[int] = []
 
-    monkeypatch.setattr(encode_frame, "train_first_frame", fails)
-    encoded = encode(cut_rig)
+    def fails_the_second_time(step: int, steps: int, loss: float) -> None:
+        begun.extend([step] * (step == 1))
+        if len(begun) > 1:
+            raise TrainingError("no number")
+
+    encoded = encode(cut_rig, on_keyframe_step=fails_the_second_time)
+    assert len(begun) == 2
     assert check_decoded(encoded)[2] == "delta"
     path = tmp_path / "left.dgs"
     path.with_name(f"{path.name}.part").write_bytes(encoded.cut_off(3))
     assert encode(cut_rig, output=path, resume=True).data == encoded.data
-    monkeypatch.setattr(events, "shows_another_scene", lambda *_: False)
-    kept = encode(cut_rig)
+    kept = encode(cut_rig, settings=uncut(tiny_settings))
     assert [digest(state) for state in encoded.states] == [digest(state) for state in kept.states]
 
 

@@ -95,17 +95,44 @@ def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(registry, "_loaded", {})
 
 
+class _Package:
+    name = "decogs-example"
+
+
 class _Point:
     """An entry point whose module cannot be imported."""
 
-    name, value, dist = "broken", "broken_module:rule", None
+    value, dist = "broken_module:rule", None
+
+    def __init__(self, name: str) -> None:
+        self.name = name
 
     def load(self) -> Any:
         raise ImportError("no module named torch")
 
 
+class _PackagesPoint(_Point):
+    dist = _Package()  # type: ignore[assignment]
+
+    def __init__(self, what: Any) -> None:
+        super().__init__("broken")
+        self._what = what
+
+    def load(self) -> Any:
+        return self._what
+
+
+def installed_point(monkeypatch: pytest.MonkeyPatch, point: _Point) -> None:
+    """An installed package has this one under every extension point."""
+    monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [point])
+
+
+def offered(monkeypatch: pytest.MonkeyPatch, what: Any) -> None:
+    installed_point(monkeypatch, _PackagesPoint(what))
+
+
 def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [_Point()])
+    installed_point(monkeypatch, _Point("broken"))
     registry = Registry("selection rule", "decogs.selection_rules", {"own": 1}, guarded(anything))
     assert registry.names() == ("own", "broken")
     assert registry.get("own") == 1
@@ -122,23 +149,9 @@ def test_a_method_of_the_bench_says_what_to_install(monkeypatch: pytest.MonkeyPa
 
 
 def test_ours_cannot_be_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = _Point()
-    point.name = "weight"
-    monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [point])
+    installed_point(monkeypatch, _Point("weight"))
     assert SELECTION_RULES.names() == ("paper", "weight")
     assert SELECTION_RULES.get("weight").__name__ == "by_weight"  # type: ignore[attr-defined]
-
-
-class _Package:
-    name = "decogs-example"
-
-
-def offered(monkeypatch: pytest.MonkeyPatch, what: Any) -> None:
-    """A package is installed that offers ``what`` as "broken" under every extension point."""
-    point = _Point()
-    point.dist = _Package()  # type: ignore[assignment]
-    point.load = lambda: what  # type: ignore[method-assign]
-    monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [point])
 
 
 def raises(*given: Any, **named: Any) -> Any:

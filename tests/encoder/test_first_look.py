@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.change.masks import MaskMemory
+from decogs.encoder.frame.first_look import FirstLook
 
 
-def test_a_look_ahead_changes_no_bit_and_is_used(
-    encode: Any, moving_rig: Path, moving: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+class IdleKernel(CpuKernel):
+    leaves_processor_idle = True
+
+
+def look_of(frame: Any, pictures: Sequence[Any]) -> FirstLook | None:
+    """The look that an encoded frame hands to the one with these pictures."""
+    return frame.memory.first_look(pictures)  # type: ignore[no-any-return]
+
+
+def test_a_look_ahead_changes_no_bit_and_is_of_the_next_frame_alone(encode: Any, moving_rig: Path, moving: Any) -> None:
     """Frame 2 shows nothing new and trains nothing, so that frame 3 is looked at when its turn comes."""
-    asked, pixel_changes = [], MaskMemory.pixel_changes
-
-    def noted(*given: Any, **named: Any) -> Any:
-        asked.append(threading.current_thread() is threading.main_thread())
-        return pixel_changes(*given, **named)
-
-    monkeypatch.setattr(MaskMemory, "pixel_changes", noted)
-    monkeypatch.setattr(CpuKernel, "leaves_processor_idle", True)
-    looked = encode(moving_rig, threads=2)
+    looked = encode(moving_rig, keyframe=moving.path, kernel=IdleKernel(2), threads=2)
     assert looked.data == moving.data
-    assert asked == [True, False, True]
-
-
-def test_a_look_at_another_frame_is_not_used(
-    encode: Any, moving_rig: Path, moving: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As where frames come in another order than they were read in."""
-    monkeypatch.setattr(CpuKernel, "leaves_processor_idle", True)
-    monkeypatch.setattr("decogs.rig.parallel.Ahead.peek", lambda ahead: [])
-    assert encode(moving_rig, threads=2).data == moving.data
+    first, second, third = (frame.pictures.training for frame in looked.frames[1:])
+    assert [look_of(frame, first) is None for frame in looked.frames[:1]] == [True]
+    assert look_of(looked.frames[1], second) is not None
+    assert look_of(looked.frames[1], third) is None, "as where frames come in another order"
+    assert look_of(looked.frames[1], [picture.copy() for picture in second]) is None, "compared as what they are"
+    assert looked.frames[2].memory.looking is None

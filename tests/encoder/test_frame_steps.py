@@ -11,19 +11,23 @@ import numpy as np
 import pytest
 
 import decogs.encoder.frame.encode_frame as encode_frame
-import decogs.encoder.stream.encoder as stream_encoder
-from decogs.codec.packets.corrections import Correction
+from decogs.codec.packets.corrections import CorrectedCameras, Correction
 from decogs.codec.packets.keyframes import new_state
 from decogs.codec.scene.lattice import default_lattice, quantise
 from decogs.codec.scene.state import ARRAYS, Attributes, State
 from decogs.decoder.subject.hull import Hull
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.change.masks import FrameMask, MaskMemory, PixelChange
+from decogs.encoder.coding.packets import key_packet
 from decogs.encoder.coding.rate_control import RateControl
 from decogs.encoder.coding.scene import IDS_PER_SEGMENT, Scene
 from decogs.encoder.coding.time_control import TimeControl
 from decogs.encoder.frame.commit import next_memory
-from decogs.encoder.frame.encode_frame import Encoded, Task
-from decogs.encoder.frame.events import Kind, PendingFrame
+from decogs.encoder.frame.cross_fade import CrossFade, cross_fade, fade_cameras
+from decogs.encoder.frame.encode_frame import Task
+from decogs.encoder.frame.events import Kind, PendingFrame, what_happened
+from decogs.encoder.frame.first_look import FirstLook
 from decogs.encoder.frame.memory import Memory, restart_at_segment
 from decogs.encoder.frame.next_segment import NextSegment
 from decogs.encoder.frame.plan import FramePlan, light_only, plan_frame
@@ -33,15 +37,13 @@ from decogs.encoder.input.compensation.colour import remove_gain
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
-from decogs.encoder.stream.encoder import StreamEncoder
-from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import UNKNOWN_PACE, Pace
 from decogs.encoder.training.warm_start import Motion
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats
 from decogs.formats.stream.container import PacketKind
-from decogs.rig.pictures.ingest import RigFrame
+from decogs.rig.pictures.ingest import RigFrame, scene_extent
 from decogs.rig.stage.stage import PlainStage
 from decogs.rig.stage.subject import SubjectAlone
 
@@ -173,40 +175,29 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
     assert next(left, None) is None
 
 
-def test_a_fade_is_trained_with_the_frames_own_settings_and_chance(
-    monkeypatch: pytest.MonkeyPatch, tiny_rig: Any
-) -> None:
+def test_a_fade_is_trained_with_the_frames_own_settings_and_chance(tiny_rig: Any) -> None:
     """Where light alone changes in frame 7 of the rig, nothing moves for the fade, either."""
-    given: dict[str, Any] = {}
+    kernel, cameras = CpuKernel(1), [tiny_rig.camera(number) for number in (0, 1, 3)]
+    before, after = tiny_rig.scene_at(0), tiny_rig.scene_at(1)
+    rows = np.flatnonzero(np.any(before.means != after.means, axis=1))
+    rates = replace(DRAFT.frame.rates, means=0.0, quaternions=0.0)
+    still = replace(DRAFT.frame, joint_iterations=2, rates=rates)
+    none, nobody = empty_splats(before.sh_degree), np.zeros(0, np.int64)
 
-    def fade_it(*positional: Any, **named: Any) -> str:
-        given.update(named, settings=positional[-1])
-        return "faded"
+    def fade() -> CrossFade:
+        return CrossFade(after, 0.5, rows, SceneViews(kernel, lambda: fade_cameras(cameras)))
 
-    monkeypatch.setattr(encode_frame, "cross_fade", fade_it)
-    monkeypatch.setattr(
-        encode_frame, "frame_packet", lambda scene, frame, trained, *_, **__: Stub(packet=(frame, trained))
-    )
-    context = Stub(
-        settings=DRAFT,
-        kernel=None,
-        ingest=Stub(views=[Stub(pinhole=tiny_rig.camera(number)) for number in (0, 1)]),
-        seed=5,
-        on_loss=None,
-    )
-    scene = Stub(
-        header=Stub(first_frame=4), splats=empty_splats(0), read=lambda packet: packet, after=lambda state: state
-    )
-    memory = memory_of(views=Stub(of=lambda _: None, detach=lambda _: None))
-    still = replace(DRAFT.frame, rates=replace(DRAFT.frame.rates, means=0.0))
+    ingest = Stub(views=[Stub(pinhole=camera) for camera in cameras])
+    context = Stub(settings=DRAFT, kernel=kernel, ingest=ingest, seed=5, on_loss=None)
+    scene = Stub(header=Stub(first_frame=4), splats=before)
+    frame = pending(7, scene=scene, memory=memory_of(views=SceneViews(kernel, lambda: cameras)))
     plan = FramePlan([], np.zeros(3, bool), (), still)
-    fade: Any = Stub(rows=np.arange(2))
-    frame = pending(7, scene=scene, memory=memory)
-    faded = encode_frame._fade(context, frame, plan, scene, None, fade, Stopwatch())
-    _, packet = encode_frame._code(context, frame, plan, scene, faded, Stopwatch())
-    assert packet == (3, "faded")
-    assert given["settings"] is still
-    assert given["seed"] == (5, 3)
+    faded = encode_frame._fade(context, frame, plan, scene, None, fade(), Stopwatch())
+    np.testing.assert_array_equal(faded.values.means, before.means[rows])
+    unchanged, extent = TrainedFrame(nobody, none, nobody, none), scene_extent(ingest.views)
+    for seed, same in (((5, 3), True), ((5, 7), False), ((4, 3), False)):
+        other = cross_fade(kernel, before, unchanged, fade(), still, extent=extent, seed=seed)
+        assert np.array_equal(faded.values.sh, other.values.sh) == same
 
 
 # What a frame leaves behind
@@ -292,19 +283,37 @@ def test_a_frame_is_paid_for_where_its_memory_is_made() -> None:
     assert (deferred.time.deferred, deferred.time.kept, deferred.time.pace) == (1, 0.75, UNKNOWN_PACE)
 
 
-# Replay, cuts
+# What happened, replay, cuts
 
 
-def test_what_a_fade_changed_is_drawn_anew_in_a_replayed_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_effect_no_picture_is_compared() -> None:
+    context = Stub(settings=Stub(frame_effects=()), method=Stub(dense=False), ingest=Stub(views=[]))
+    frame = pending(memory=memory_of(masks=Stub()))
+    assert what_happened(context, frame, Stopwatch()).kind is Kind.NOTHING
+
+
+def test_a_first_look_is_used_if_it_was_of_this_frame() -> None:
+    context = Stub(settings=DRAFT, method=Stub(dense=False), ingest=Stub(views=[]), threads=1)
+    seen: Any = [PixelChange(np.zeros((48, 64), bool), 0.0)]
+    memory = memory_of()
+    look: Any = FirstLook(memory.masks, [PICTURE], seen, [], None)
+    memory = replace(memory, looking=Stub(taken=lambda: look))
+    for picture, used in ((PICTURE, True), (PICTURE.copy(), False)):
+        found = what_happened(context, pending(picture=picture, memory=memory, scene=Stub(splats=None)), Stopwatch())
+        assert (found.changes is seen) == used
+
+
+def test_what_a_fade_changed_is_drawn_anew_in_a_replayed_frame() -> None:
     """Beside what the masks select."""
     detached: list[Any] = []
-    monkeypatch.setattr(encode_frame, "read_back", lambda *_: (None, None))
     context, moved = Stub(settings=DRAFT, method=Stub(dense=False)), state_of(4, 2)
-    before = Stub(state=state_of(4), splats=empty_splats(0), header=None, after=lambda state: Stub(state=state))
+    header = Stub(corrected=CorrectedCameras(), coefficients=1)
+    before = Stub(state=state_of(4), splats=empty_splats(0), header=header, after=lambda state: Stub(state=state))
     memory = memory_of(views=Stub(of=lambda _: Stub(detach=lambda rows: detached.append(rows))))
     plan = FramePlan([EVERYWHERE], np.arange(4) == 0, ("motion",), DRAFT.frame)
     frame = pending(scene=before, memory=memory)
-    *_, trained = encode_frame._replay(context, frame, plan, Stub(kind=PacketKind.DELTA), moved)
+    packet = key_packet(header, moved, {}).packet
+    *_, trained = encode_frame._replay(context, frame, plan, packet, moved)
     assert trained is not None
     for rows in (trained.kept, *detached):
         np.testing.assert_array_equal(rows, [0, 2])
@@ -365,9 +374,9 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
 # The next segment
 
 
-def segment_from(start: int, scenes: dict[int, Any], length: int = 3, first: Any = None) -> NextSegment:
+def segment_from(start: int, scenes: dict[int, Any]) -> NextSegment:
     views: Any = Stub()
-    return NextSegment(start, state_of(4), first, scenes, views, length)
+    return NextSegment(start, state_of(4), None, scenes, views, 3)
 
 
 def test_frames_go_over_in_even_steps_and_not_all_the_way() -> None:
@@ -386,54 +395,3 @@ def test_what_either_segment_changed_may_change_for_the_other() -> None:
     fade = segment.fade(5, Stub(state=state_of(5, 0)))
     assert fade is not None
     np.testing.assert_array_equal(fade.rows, [0, 2, 4])
-
-
-@pytest.fixture
-def encoder(monkeypatch: pytest.MonkeyPatch) -> StreamEncoder:
-    context = Stub(settings=DRAFT, method=Stub(dense=False))
-    monkeypatch.setattr(stream_encoder, "FrameReporter", lambda *_: Stub(report=lambda encoded, watch: encoded))
-    output: Any = Stub(write=lambda *_: None)
-    return StreamEncoder(context, output, RunOptions())
-
-
-def frames(indices: range) -> list[RigFrame]:
-    return [RigFrame(index, [], []) for index in indices]
-
-
-def test_a_segment_is_trained_once_for_all_that_go_over_to_it(
-    encoder: StreamEncoder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trained: list[int] = []
-
-    def train(_: Any, scene: Any, memory: Any, given: list[RigFrame]) -> NextSegment:
-        trained.append(given[0].index)
-        return segment_from(given[-1].index, {})
-
-    monkeypatch.setattr(stream_encoder, "train_next_segment", train)
-    last: Any = Stub(scene=None, memory=None)
-    for start in (6, 12):
-        segments = [
-            encoder._next_segment(frames(range(now, start + 1)), last, Stopwatch())
-            for now in range(start - 3, start + 1)
-        ]
-        assert [segment and segment.start for segment in segments] == [start] * 4
-    assert encoder._next_segment(frames(range(13, 14)), last, Stopwatch()) is None
-    assert trained == [3, 9]
-
-
-def encoded_frame(**outcome: Any) -> Encoded:
-    packet: Any = Stub(kind=PacketKind.KEY, frame=6, payload=b"")
-    scene: Any = Stub()
-    return Encoded(Stub(packet=packet), scene, memory_of(), pending(6).recorded, **outcome)
-
-
-@pytest.mark.parametrize("rejected", [True, False])
-def test_a_start_that_was_trained_ahead_says_whether_it_diverged(
-    encoder: StreamEncoder, monkeypatch: pytest.MonkeyPatch, rejected: bool
-) -> None:
-    given: list[Task] = []
-    monkeypatch.setattr(stream_encoder, "encode_frame", lambda *_: (given.append(_[-1]), encoded_frame())[1])
-    encoder._next = segment_from(6, {}, first=encoded_frame(rejected=rejected))
-    found: Any = encoder._encode_next(RigFrame(6, [], []), encoded_frame(), [])
-    assert found.rejected == rejected
-    assert given[0].packet is encoder._next.first.written.packet  # type: ignore[union-attr]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,21 +19,27 @@ from decogs.encoder.methods.decogs import DecogsTrainer, _probes
 from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings, SignificanceSettings
-from decogs.encoder.training import selective_densification
-from decogs.encoder.training.frame_training import FrameTraining
 from decogs.encoder.training.method import TrainedFrame, TrainingContext
 from decogs.encoder.training.schedule import MIN_STEPS, Pace, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import SH_C0, Splats, take_splats
+from noting_kernel import NotingKernel
 from one_frame import Case, NewTrainer, Trainer, bits, moved_square, train
 
-EAGER = pytest.mark.usefixtures("eager")
 SETTINGS = FrameSettings(joint_iterations=30, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0))
 CACHE = CacheConfig(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
 CACHED = partial(PaperTrainer, cache=CACHE, cache_iterations=30)
 IDENTITY = partial(PaperTrainer, cache=replace(CACHE, learning_rate=0.0), cache_iterations=1)
 """A cache that learns nothing: with no steps of stage 2, what densification alone does."""
+
+
+def growing_from(gradient: float, new: NewTrainer) -> NewTrainer:
+    """Selected Gaussians are split or cloned from this mean view gradient; from 0, all are."""
+    return lambda context: new(replace(context, grow_gradient=gradient))
+
+
+EAGER = growing_from(0.0, IDENTITY)
 METHODS = pytest.mark.parametrize("new", [CACHED, DecogsTrainer], ids=["cache", "direct"])
 
 
@@ -123,10 +130,9 @@ def test_the_cache_alone_moves_and_turns_and_touches_nothing_else(case: Case) ->
     assert error(case, applied(case.scene, frame)) < error(case, case.scene)
 
 
-@EAGER
 def test_results_depend_on_the_seed_and_not_on_threads(case: Case) -> None:
-    settings = replace(SETTINGS, grow_fraction=0.5)
-    one, five, other = (case.train(settings, CACHED, **o) for o in ({"threads": 1}, {"threads": 5}, {"seed": 1}))
+    settings, new = replace(SETTINGS, grow_fraction=0.5), growing_from(0.0, CACHED)
+    one, five, other = (case.train(settings, new, **o) for o in ({"threads": 1}, {"threads": 5}, {"seed": 1}))
     assert len(one.added) > 0
     assert bits(one.values) + bits(one.added) == bits(five.values) + bits(five.added)
     assert bits(one.values) != bits(other.values)
@@ -155,19 +161,12 @@ def test_on_a_stage_neighbours_move_more_alike(case: Case) -> None:
 GROWING = replace(SETTINGS, joint_iterations=0, grow_fraction=1.0, prune_opacity=0.0)
 
 
-@pytest.fixture
-def eager(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every selected Gaussian is split or cloned."""
-    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 0.0)
-
-
 def grown(case: Case, *, everywhere: bool) -> TrainedFrame:
     scene = take_splats(case.scene, np.arange(len(case.scene)))
     scene.log_scales[case.selected] = np.log(0.05)  # above 1 % of the extent: split, not cloned
-    return replace(case, scene=scene).train(GROWING, IDENTITY, everywhere=everywhere)
+    return replace(case, scene=scene).train(GROWING, EAGER, everywhere=everywhere)
 
 
-@EAGER
 def test_halves_born_in_the_focus_lie_about_their_parents_old_place(case: Case) -> None:
     frame = grown(case, everywhere=True)
     assert len(frame.added) == len(frame.kept) == 25
@@ -177,21 +176,19 @@ def test_halves_born_in_the_focus_lie_about_their_parents_old_place(case: Case) 
     np.testing.assert_allclose(np.exp(frame.values.log_scales), 0.05 / 1.6, rtol=1e-5)
 
 
-@EAGER
 def test_a_new_gaussian_outside_every_focus_goes_back_to_its_parents_place(case: Case) -> None:
     frame = grown(case, everywhere=False)
     assert len(frame.added) == 25
     np.testing.assert_array_equal(frame.added.means, case.scene.means[frame.kept])
 
 
-@EAGER
 def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
     free, bound = grown(case, everywhere=True), grown(case, everywhere=False)
     masks = case.masks(everywhere=False)
     masks[3] = case.masks(everywhere=True)[3]
     scene = take_splats(case.scene, np.arange(len(case.scene)))
     scene.log_scales[case.selected] = np.log(0.05)
-    frame = replace(case, scene=scene).train(GROWING, IDENTITY, masks=masks)
+    frame = replace(case, scene=scene).train(GROWING, EAGER, masks=masks)
     np.testing.assert_array_equal(frame.added.means, free.added.means)
     assert (frame.added.means != bound.added.means).any()
 
@@ -205,23 +202,22 @@ def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
     ids=["last third of stage 1", "second quarter"],
 )
 def test_growth_goes_by_gradients_shortly_before_it(
-    case: Case, monkeypatch: pytest.MonkeyPatch, new: NewTrainer, expected: list[tuple[str, int]]
+    case: Case, new: NewTrainer, expected: list[tuple[str, int]]
 ) -> None:
-    drawn: list[tuple[str, int]] = []
-    gathered: list[tuple[str, int]] = []
-    monkeypatch.setattr(FrameTraining, "gather", lambda *_: gathered.append(drawn[-1]))
-    stopping = StoppingRule(on_loss=lambda stage, step, loss: drawn.append((stage, step)))
-    case.train(SETTINGS, new, stopping=stopping)
-    assert gathered == expected
+    kernel = NotingKernel(2)
+    stopping = StoppingRule(on_loss=lambda stage, step, loss: kernel.done.append((stage, step)))
+    case.train(SETTINGS, lambda context: new(replace(context, kernel=kernel)), stopping=stopping)
+    assert [before for before, (what, _) in pairwise(kernel.done) if what == "gather"] == expected
 
 
-@EAGER
-def test_growth_is_limited_by_gradient_and_share(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_growth_is_limited_by_gradient_share_and_scene(case: Case) -> None:
     assert len(grown(case, everywhere=True).added) == 25
     for share, most in ((0.2, 5), (1e-3, 1)):
-        assert len(case.train(replace(GROWING, grow_fraction=share), IDENTITY).added) == most
-    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 1e9)
-    assert not len(case.train(GROWING, IDENTITY).added)
+        assert len(case.train(replace(GROWING, grow_fraction=share), EAGER).added) == most
+    assert not len(case.train(GROWING, growing_from(1e9, IDENTITY)).added)
+    bounded = len(case.scene) + 3
+    frame = case.train(GROWING, lambda context: EAGER(replace(context, max_gaussians=bounded)))
+    assert len(frame.added) == 3
 
 
 @pytest.mark.parametrize(("steps", "new"), [(30, CACHED), (0, IDENTITY)], ids=["cache", "nothing"])

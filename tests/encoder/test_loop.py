@@ -10,6 +10,8 @@ import hashlib
 import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +20,6 @@ import cv2
 import numpy as np
 import pytest
 
-import decogs.encoder.stopwatch as stopwatch
-import decogs.encoder.stream.encoder as stream_encoder
-import decogs.encoder.stream.frame_report as frame_report
 from decogs.codec.packets.corrections import Correction
 from decogs.codec.scene.digest import digest
 from decogs.codec.scene.lattice import dequantise
@@ -30,8 +29,10 @@ from decogs.decoder.reading.frame import DecodedFrame
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
 from decogs.encoder import PRESETS
-from decogs.encoder.change.masks import MaskMemory
+from decogs.encoder.frame.context import Context
+from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
+from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.rigs import open_rig
 from decogs.formats.stream.container import PacketKind, StreamWriter
@@ -218,22 +219,16 @@ def test_a_lost_picture_is_named_and_no_part_of_the_quality(
 def test_processor_seconds_are_those_of_the_frame_without_the_measuring(
     encode: Any, moving_rig: Path, moving: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spent = [0.0]
-
-    def costly(function: Any, seconds: float) -> Any:
-        def run(*arguments: Any, **named: Any) -> Any:
-            spent[0] += seconds
-            return function(*arguments, **named)
-
-        return run
-
-    monkeypatch.setattr(stream_encoder, "Stopwatch", lambda: stopwatch.Stopwatch(began=spent[0]))
-    monkeypatch.setattr(stopwatch.time, "process_time", lambda: spent[0])
-    monkeypatch.setattr(frame_report, "mean_psnr", costly(frame_report.mean_psnr, 1.0))  # twice a frame
-    monkeypatch.setattr(MaskMemory, "pixel_changes", costly(MaskMemory.pixel_changes, 0.125))
-    key, _, skip, _ = encode(moving_rig, keyframe=moving.path).report.frames
-    assert (key.kind, skip.kind) == ("key", "skip")
-    assert (key.cpu_seconds, skip.cpu_seconds) == (0.0, 0.125)
+    """By a clock that pictures move: each one drawn in training by a second, one rendered to be measured by 1000."""
+    kernel, drawn = NotingKernel(), [0]
+    monkeypatch.setattr(time, "process_time", lambda: kernel.times["draw"] + 1000 * kernel.rendered.total())
+    frames = encode(
+        moving_rig, keyframe=moving.path, kernel=kernel, on_frame=lambda _: drawn.append(kernel.times["draw"])
+    ).report.frames
+    assert [frame.kind for frame in frames] == ["key", "delta", "skip", "delta"]
+    assert [frame.cpu_seconds for frame in frames] == np.diff(drawn).tolist()
+    assert frames[1].cpu_seconds > 0
+    assert kernel.rendered.total() == len(frames), "the held-out view of each"
 
 
 def test_header_holds_what_a_decoder_needs_without_the_rig(moving: Any, tiny_rig: Any, tiny_settings: Any) -> None:
@@ -410,44 +405,43 @@ def test_ctrl_c_during_the_keyframe_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def fails_at(frame: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    encode_one = stream_encoder.encode_frame
+def failing_at(index: int) -> Callable[[Context], Context]:
+    """An encode whose training fails in a frame."""
 
-    def failing(*arguments: Any) -> Any:
-        if arguments[-1].recorded.index == frame:
-            raise TrainingError(f"frame {frame}: no number")
-        return encode_one(*arguments)
+    class Fails(DecogsTrainer):
+        def train(self, frame: FrameInput, /) -> TrainedFrame:
+            if frame.index == index:
+                raise TrainingError(f"frame {index}: no number")
+            return super().train(frame)
 
-    monkeypatch.setattr(stream_encoder, "encode_frame", failing)
+    return lambda context: replace(context, method=FrameMethod(Fails))
 
 
 def test_an_error_at_a_later_frame_leaves_what_was_complete_beside_the_name(
-    moving: Any, encode: Any, moving_rig: Path, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    moving: Any, encode: Any, moving_rig: Path, tiny_rig: Any, tmp_path: Path
 ) -> None:
     rig = tiny_rig.poisoned(moving_rig, tmp_path / "rig", tiny_rig.held_out)
     output = tmp_path / "out" / "scene.dgs"
     output.parent.mkdir()
-    fails_at(2, monkeypatch)
-    with pytest.raises(TrainingError, match=r"no number; the 2 frames before it are in .*scene\.dgs\.part") as raised:
-        encode(rig, output=output)
+    with pytest.raises(TrainingError, match=r"no number; the 3 frames before it are in .*scene\.dgs\.part") as raised:
+        encode(rig, output=output, context=failing_at(3))
     assert "\n" not in str(raised.value)
     assert not output.exists()
     assert [digest(f.state) for f in decoded(output.with_name("scene.dgs.part"))] == [
-        digest(state) for state in moving.states[:2]
+        digest(state) for state in moving.states[:3]
     ]
 
 
 def test_an_older_stream_survives_until_the_new_one_is_whole(
-    encode: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    encode: Any, moving_rig: Path, moving: Any, tmp_path: Path
 ) -> None:
     output = tmp_path / "scene.dgs"
     output.write_bytes(b"old")
-    fails_at(1, monkeypatch)
     with pytest.raises(TrainingError):
-        encode(moving_rig, output=output)
+        encode(moving_rig, output=output, keyframe=moving.path, context=failing_at(1))
     assert output.read_bytes() == b"old"
     output.with_name("scene.dgs.part").unlink()
-    assert decoded(encode(moving_rig, output=output, stop=1).path)
+    assert decoded(encode(moving_rig, output=output, keyframe=moving.path, stop=1).path)
 
 
 def test_outputs_that_cannot_be_are_refused_before_anything_is_trained(

@@ -16,7 +16,6 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from decogs.bench.methods.threedgstream import BaselineTrainer
 from decogs.encoder import EncodeReport, MatteChoice, join
 from decogs.encoder.analysis.analyse import analyse
 from decogs.encoder.output.reports import FrameReport, left_out_warnings
@@ -24,6 +23,7 @@ from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_rig
 from decogs.rig.check.faults import DAMAGED, DROPPED, FROZEN
 from encode_rig import encode_rig
+from noting_kernel import NotingKernel
 from packets import iterate_packets
 
 CAMERA, HELD_OUT, FRAME = "cam01", "cam02", 1
@@ -285,18 +285,15 @@ def test_a_frame_without_any_picture_repeats_the_one_before(rig: Path, encoded: 
 
 
 def test_a_dense_method_leaves_the_view_out(
-    rig: Path, encoded: Any, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+    rig: Path, encode: Any, moving: Any, tiny_rig: Any, tiny_settings: Any
 ) -> None:
-    drawn, draw = set[int](), BaselineTrainer._next_gradients
-
-    def noted(*arguments: Any) -> int:
-        drawn.add(view := draw(*arguments))
-        return view
-
-    monkeypatch.setattr(BaselineTrainer, "_next_gradients", noted)
+    kernel, settings = NotingKernel(), replace(tiny_settings, method="3dgstream")
     shorten(of(rig, CAMERA, FRAME))
-    encoded(rig, settings=replace(tiny_settings, method="3dgstream"), frames=range(2))
-    assert drawn == {0, 2, 3}
+    encode(rig, settings=settings, keyframe=moving.path, kernel=kernel, stop=2)
+    trained = [name for name in tiny_rig.names if name not in (CAMERA, HELD_OUT)]
+    assert min(kernel.rendered[name] for name in trained) > 10 > kernel.rendered[CAMERA], (
+        "it is rendered to be measured, once or twice"
+    )
 
 
 def test_scaled_pictures_and_cameras_own_size(rig: Path, encoded: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,8 @@ from typing import Any
 
 import pytest
 
-import decogs.encoder.stream.encoder as stream_encoder
-from decogs.encoder import EncodeSettings
+from decogs.encoder import EncodeSettings, FrameReport
+from decogs.encoder.output.observer import EncodeObserver
 from decogs.encoder.stream.memory_limit import encode_memory, memory_within
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
@@ -97,16 +98,18 @@ def test_the_estimate_grows_with_all_that_takes_memory(moving_rig: Path, tiny_se
     assert all(less < usual for less in (estimate(holdout=("cam01",)), estimate(frames=1)))
 
 
-@pytest.fixture
-def used(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """A 1 for every time that frames are read ahead."""
-    found, ahead = [], stream_encoder.Ahead
-    monkeypatch.setattr(stream_encoder, "Ahead", lambda frames: found.append(1) or ahead(frames))
-    return found
+class ReadsAhead(EncodeObserver):
+    """Whether a thread reads ahead while the first frame is reported."""
+
+    found: bool | None = None
+
+    def frame(self, report: FrameReport) -> None:
+        if self.found is None:
+            self.found = any(thread.name.startswith("ahead") for thread in threading.enumerate())
 
 
 def test_where_memory_is_tight_nothing_is_read_ahead_and_the_stream_is_the_same(
-    moving_rig: Path, tiny_settings: EncodeSettings, tmp_path: Path, used: list[int]
+    moving_rig: Path, tiny_settings: EncodeSettings, tmp_path: Path
 ) -> None:
     given = {"gaussians": 0, "frames": 4, "threads": 2}
     ingest = Ingest(open_rig(moving_rig))
@@ -117,10 +120,10 @@ def test_where_memory_is_tight_nothing_is_read_ahead_and_the_stream_is_the_same(
     with pytest.raises(UsageError, match=r"`max_memory`: 5 cameras of up to 64x48 and 1200 Gaussians may need \d+M, m"):
         memory_within(ingest, tiny_settings, tight.size - 1, **given)
 
-    for name, limit, expected in (("ample", ample.size, 1), ("tight", tight.size, 0)):
-        used.clear()
-        encode_rig(moving_rig, tmp_path / name, tiny_settings, threads=2, max_memory=limit)
-        assert len(used) == expected
+    for name, limit, expected in (("tight", tight.size, False), ("ample", ample.size, True)):
+        reads_ahead = ReadsAhead()
+        encode_rig(moving_rig, tmp_path / name, tiny_settings, threads=2, max_memory=limit, progress=reads_ahead)
+        assert reads_ahead.found == expected
     assert (tmp_path / "ample").read_bytes() == (tmp_path / "tight").read_bytes()
 
 

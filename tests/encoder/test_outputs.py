@@ -18,24 +18,25 @@ import pytest
 
 import decogs.encoder.output.stream_output as stream_output
 from decogs.codec.header.header import StreamHeader
+from decogs.encoder import EncodeReport
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.keyframe.train import train_keyframe
+from decogs.encoder.output.observer import EncodeObserver
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.files.outputs import GrowingFile
 from decogs.formats.stream.container import StreamWriter
-from encode_rig import encode_rig
+from encode_rig import encode_rig as encode_anything
 from packets import iterate_packets
 
 
-@pytest.fixture(autouse=True)
-def untrained(monkeypatch: pytest.MonkeyPatch) -> None:
+class Untrained(EncodeObserver):
     """No test here trains a keyframe: what is wrong is said before."""
 
-    def never(*_: Any, **__: Any) -> None:
+    def keyframe_step(self, step: int, steps: int, loss: float) -> None:
         raise AssertionError("a keyframe is trained")
 
-    monkeypatch.setattr("decogs.encoder.keyframe.first_frame.train_keyframe", never)
-    assert train_keyframe is not never
+
+def encode_rig(*given: Any, **fields: Any) -> EncodeReport:
+    return encode_anything(*given, progress=Untrained(), **fields)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

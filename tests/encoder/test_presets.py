@@ -9,7 +9,7 @@ import pytest
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.methods.paper.stages import CACHE_ITERATIONS
 from decogs.encoder.settings.presets import LADDER, preset
-from decogs.encoder.training.selective_densification import _GROW_GRADIENT
+from decogs.encoder.training.method import GROW_GRADIENT
 from decogs.formats.errors import UsageError
 
 
@@ -49,7 +49,7 @@ def test_paper_holds_the_papers_numbers() -> None:
     assert (paper.masks.threshold, paper.masks.radius(1352), paper.masks.speck_area) == (25.0, 48, 0)
     assert (paper.selection.rule, paper.selection.min_views) == ("paper", 2)
     assert (CACHE_ITERATIONS, paper.joint_iterations) == (150, 100)
-    assert (_GROW_GRADIENT, paper.focus.dissimilarity) == (1e-4, 0.2)
+    assert (GROW_GRADIENT, paper.focus.dissimilarity) == (1e-4, 0.2)
 
 
 def test_paper_is_the_papers_method_with_the_texts_reading_of_its_loss() -> None:

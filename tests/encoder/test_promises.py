@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import decogs.encoder.keyframe.train as keyframe
-import decogs.encoder.training.method as method
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.scene.lattice import default_lattice, dequantise
 from decogs.codec.scene.state import take_rows
@@ -25,11 +24,10 @@ from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
-from decogs.encoder.training import selective_densification
-from decogs.encoder.training.method import FrameInput, TrainedFrame
+from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame, TrainingContext
 from decogs.encoder.training.seeding import _confirm, _Seeds
 from decogs.encoder.training.warm_start import Motion
-from decogs.formats.splats import Splats, empty_splats
+from decogs.formats.splats import Splats, empty_splats, take_splats
 from noting_kernel import NotingKernel
 from packets import iterate_packets
 
@@ -42,18 +40,25 @@ def header_of(path: Path) -> StreamHeader:
 # Growth
 
 
+@pytest.mark.parametrize("growth", [1.25, 1.02])
 def test_a_scene_grows_no_further_than_the_stream_allows(
-    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, growth: float
 ) -> None:
     """STABILITY.md: clones and splits of later frames stop at 1.25 times the keyframe's Gaussians."""
-    assert method.MAX_GROWTH == 1.25
+    most = round(growth * len(moving.states[0]))
+
+    def eager(given: TrainingContext) -> DecogsTrainer:
+        assert given.max_gaussians == round(1.25 * given.population)
+        return DecogsTrainer(replace(given, grow_gradient=0.0, max_gaussians=most))
+
     frame = replace(tiny_settings.frame, emergence=EmergenceSettings(max_seeds=0), grow_fraction=1.0)
-    monkeypatch.setattr(selective_densification, "_GROW_GRADIENT", 0.0)
-    given = {"settings": replace(tiny_settings, frame=frame), "keyframe": moving.path}
-    first = len(moving.states[0])
-    assert max(map(len, encode(moving_rig, **given).states)) > 1.02 * first
-    monkeypatch.setattr(method, "MAX_GROWTH", 1.02)
-    assert max(map(len, encode(moving_rig, **given).states)) <= round(1.02 * first)
+    encoded = encode(
+        moving_rig,
+        settings=replace(tiny_settings, frame=frame),
+        keyframe=moving.path,
+        context=lambda context: replace(context, method=FrameMethod(eager)),
+    )
+    assert 1.02 * len(moving.states[0]) - 1 < max(map(len, encoded.states)) <= most
 
 
 # The header
@@ -146,29 +151,29 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     assert told == (["motion" in effects] if changed else [])
 
 
+def unchanged(frame: FrameInput) -> TrainedFrame:
+    """A frame whose training diverged."""
+    rows, none = np.flatnonzero(frame.selected), empty_splats(frame.scene.sh_degree)
+    return TrainedFrame(rows, take_splats(frame.scene, rows), np.zeros(0, np.int64), none, rejected=True)
+
+
 def test_a_frame_that_was_given_up_is_tried_again_also_after_a_resume(
     encode: Any,
     moving: Any,
     moving_rig: Path,
     tiny_settings: Any,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Frame 2 shows what frame 1 did: had frame 1 counted as trained, the miss would be there for good."""
-    train = DecogsTrainer.train
 
-    def runs_away(self: DecogsTrainer, frame: FrameInput) -> TrainedFrame:
-        trained, scene, selected = train(self, frame), frame.scene, frame.selected
-        if frame.index > 1:
-            return trained
-        rows = np.flatnonzero(selected)
-        values = type(scene)(*(getattr(scene, name)[rows] for name in vars(scene)))
-        return TrainedFrame(rows, values, np.zeros(0, np.int64), empty_splats(scene.sh_degree), rejected=True)
+    class RunsAway(DecogsTrainer):
+        def train(self, frame: FrameInput, /) -> TrainedFrame:
+            trained = super().train(frame)
+            return trained if frame.index > 1 else unchanged(frame)
 
-    monkeypatch.setattr(DecogsTrainer, "train", runs_away)
     masks = replace(tiny_settings.frame.masks, since_trained=True)
     given = {"settings": replace(tiny_settings, frame=replace(tiny_settings.frame, masks=masks))}
-    given["keyframe"] = moving.path
+    given |= {"keyframe": moving.path, "context": lambda context: replace(context, method=FrameMethod(RunsAway))}
     encoded = encode(moving_rig, **given)
     assert [frame.kind for frame in encoded.report.frames] == ["key", "skip", "delta", "delta"]
     assert [frame.rejected for frame in encoded.report.frames] == [False, True, False, False]

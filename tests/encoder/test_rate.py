@@ -13,7 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.codec.scene.lattice import default_lattice, dequantise, quantise
+from decogs.codec.scene.state import take_rows
 from decogs.encoder import PRESETS, EncodeSettings, Targets
+from decogs.encoder.coding.changes import quantise_changes
 from decogs.encoder.coding.rate_control import (
     BYTES_TOLERANCE,
     RateControl,
@@ -26,6 +29,7 @@ from decogs.encoder.commands import encode_main
 from decogs.encoder.job.switches import with_method
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.errors import UsageError
+from decogs.formats.splats import Splats
 from decogs.formats.stream.container import PacketKind
 from encode_rig import encode_rig
 from packets import iterate_packets
@@ -315,21 +319,18 @@ def test_a_budget_that_cannot_be_met_is_told(
 
 
 def test_lossless_writes_every_change_as_it_was_trained(
-    encode: Any, moving: Any, moving_rig: Path, economical: EncodeSettings, monkeypatch: pytest.MonkeyPatch
+    encode: Any, moving: Any, moving_rig: Path, economical: EncodeSettings
 ) -> None:
-    def noted(values: Any, before: Any, lattice: Any, *rest: Any) -> Any:
-        written = quantise_changes(values, before, lattice, *rest)
-        pairs.append((written, quantise(values, lattice, near=before)))
-        return written
-
-    import decogs.encoder.coding.changes as changes
-
-    pairs: list[Any] = []
-    quantise, quantise_changes = changes.quantise, changes.quantise_changes
-    monkeypatch.setattr(changes, "quantise_changes", noted)
+    state, random = moving.states[0], np.random.default_rng(0)
+    before, lattice = take_rows(state, np.arange(50)), default_lattice(1.0)
+    values = dequantise(before, lattice)
+    for array in vars(values).values():
+        array += 1e-3 * random.standard_normal(array.shape).astype(np.float32)
+    sensitivity = Splats(*(np.ones_like(array) for array in vars(values).values()))
+    nearest = quantise(values, lattice, near=before)
+    for settings, same in ((with_lossless(economical), True), (economical, False)):
+        written = quantise_changes(values, before, lattice, sensitivity, settings.frame.significance)
+        assert all(np.array_equal(array, getattr(nearest, name)) for name, array in vars(written).items()) == same
     given = {"keyframe": moving.path, "stop": 2}
     lossless = encode(moving_rig, settings=with_lossless(economical), **given)
-    ((written, nearest),) = pairs
-    for name, array in vars(written).items():
-        np.testing.assert_array_equal(array, getattr(nearest, name))
     assert later(lossless)[0] > later(encode(moving_rig, settings=economical, **given))[0]

@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.methods.decogs as frame_training
 import decogs.encoder.training.schedule as schedule
 from decogs.bench.methods.threedgstream import BaselineConfig
 from decogs.codec.scene.digest import digest
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
-from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.coding.time_control import (
     TIME_TOLERANCE,
     TimeControl,
@@ -221,70 +219,42 @@ def steps_of(path: Path) -> dict[int, int]:
 
 
 @pytest.fixture
-def slow_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A clock of the test's own that only drawing moves: 10 ms for every picture."""
-    now, draw = [0.0], CpuFixedView.draw
-
-    def slow(view: Any, *arguments: Any, **options: Any) -> None:
-        now[0] += 0.01
-        draw(view, *arguments, **options)
-
-    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(CpuFixedView, "draw", slow)
+def slow_drawing(monkeypatch: pytest.MonkeyPatch) -> NotingKernel:
+    """A kernel, and a clock of the test's own that only its drawing moves: 10 ms for every picture."""
+    kernel = NotingKernel()
+    monkeypatch.setattr(time, "perf_counter", lambda: 0.01 * kernel.times["draw"])
+    return kernel
 
 
-Judging = Callable[[Callable[[], int]], list[int]]
-
-
-@pytest.fixture
-def judging(monkeypatch: pytest.MonkeyPatch) -> Judging:
-    """What is counted whenever a frame's changes are judged."""
-
-    def begin(count: Callable[[], int]) -> list[int]:
-        judged, judge = [], frame_training.revert_insignificant
-        monkeypatch.setattr(frame_training, "revert_insignificant", lambda *a: (judged.append(count()), judge(*a)))
-        return judged
-
-    return begin
-
-
-@pytest.mark.usefixtures("slow_drawing")
 def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
-    moving: Any,
-    restless_rig: Path,
-    patient: EncodeSettings,
-    tiny_rig: Any,
-    tmp_path: Path,
-    judging: Judging,
+    encode: Any, moving: Any, restless_rig: Path, patient: EncodeSettings, slow_drawing: NotingKernel
 ) -> None:
-    judged = judging(lambda: 1)
-    output, given = tmp_path / "x.dgs", {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
-    encode_rig(restless_rig, tmp_path / "free.dgs", **given)
-    judged.clear()
-    report = encode_rig(
-        restless_rig, output, **given, targets=Targets(time_budget=0.3), convergence_log=tmp_path / "any"
+    free, steps, kernel = encode(restless_rig, settings=patient, keyframe=moving.path), list[int](), slow_drawing
+    timed = encode(
+        restless_rig,
+        settings=with_time_budget(patient, 0.3),
+        keyframe=moving.path,
+        kernel=kernel,
+        on_frame=lambda _: steps.append(kernel.times["backward"]),
     )
-    spent = [counted_seconds(frame.seconds) for frame in report.frames[1:]]
+    spent = [counted_seconds(frame.seconds) for frame in timed.report.frames[1:]]
     assert np.mean(spent) == pytest.approx(0.3, rel=TIME_TOLERANCE)
-    assert len(judged) == 12
-    steps = steps_of(tmp_path / "any")
-    assert all(MIN_STEPS <= steps[frame] < 60 for frame in range(1, 13))
-    with open_stream(output) as stream:
+    assert kernel.times["freeze"] == 12, "changes are judged once a frame"
+    assert all(MIN_STEPS <= count < 60 for count in np.diff(steps))
+    with open_stream(timed.path) as stream:
         assert stream.complete
         assert stream.header.settings["time_budget"] == 0.3
         assert len(list(stream.frames())) == 13
-    assert output.stat().st_size < 1.3 * (tmp_path / "free.dgs").stat().st_size, "unjudged, frames take much more"
+    assert len(timed.data) < 1.3 * len(free.data), "unjudged, frames take much more"
 
 
-@pytest.mark.usefixtures("slow_drawing")
 def test_a_deferred_frame_is_taken_up_by_the_next_one(
-    moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path
+    encode: Any, moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path, slow_drawing: NotingKernel
 ) -> None:
     """The square stands until there is time, then it is where it should be."""
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, *[1, 3, 0] * 4])
-    given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
-    report = encode_rig(rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.11))
-    later = report.frames[1:]
+    timed = encode(rig, settings=with_time_budget(patient, 0.11), keyframe=moving.path, kernel=slow_drawing)
+    later = timed.report.frames[1:]
     deferred = [frame for frame in later if not frame.effects]
     trained = [frame for frame in later if frame.effects]
     assert 4 <= len(deferred) <= 8
@@ -294,14 +264,12 @@ def test_a_deferred_frame_is_taken_up_by_the_next_one(
     assert min(frame.training_psnr for frame in trained) > max(frame.training_psnr for frame in deferred) + 0.1
 
 
-@pytest.mark.usefixtures("slow_drawing")
 def test_few_steps_still_get_as_far_as_things_move(
-    encode: Any, moving: Any, restless_rig: Path, patient: EncodeSettings
+    encode: Any, moving: Any, restless_rig: Path, patient: EncodeSettings, slow_drawing: NotingKernel
 ) -> None:
     """Rates grow where only a few of the steps fit."""
     most = []
-    for settings in (patient, with_time_budget(patient, 0.22)):
-        kernel = NotingKernel()
+    for settings, kernel in ((patient, NotingKernel()), (with_time_budget(patient, 0.22), slow_drawing)):
         encode(restless_rig, settings=settings, keyframe=moving.path, stop=2, kernel=kernel)
         most.append(max(rates.log_scales for rates in kernel.rates))
     # 12 to 20 steps instead of 60: strides of 3 to 5.
@@ -377,17 +345,14 @@ def test_a_target_ends_training_and_the_same_seed_still_gives_the_same_bytes(
 
 
 def test_changes_are_judged_before_a_target_ends_training(
-    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, judging: Judging
+    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings
 ) -> None:
     kernel, views = NotingKernel(), 4
-
-    def steps() -> int:
-        return sum(what == "backward" for what, _ in kernel.done)
-
-    judged = judging(steps)
     encode(moving_rig, settings=with_target_psnr(patient, 10.0), keyframe=moving.path, stop=2, kernel=kernel)
-    assert judged == [views + 1], "at once when every view was seen to be good enough"
-    assert views + 1 + views <= steps() <= views + 1 + 2 * views, "and then until each has been seen again"
+    done = [what for what, _ in kernel.done if what in ("backward", "freeze")]
+    assert done.index("freeze") == views + 1, "at once when every view was seen to be good enough"
+    assert done.count("freeze") == 1
+    assert views <= len(done[views + 2 :]) <= 2 * views, "and then until each has been seen again"
 
 
 def test_a_target_out_of_reach_changes_nothing(

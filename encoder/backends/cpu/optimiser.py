@@ -68,8 +68,10 @@ class CpuOptimiser:
         rates: LearningRates,
         *,
         max_stretch: float = 0.0,
+        reach: FloatArray | None = None,
     ) -> None:
         self._steps += 1
+        start = None if reach is None else self.splats.means.copy()
         host_gradients = gradients.host()
         # Where sizes are not trained, as in frames that only light changes, none can stretch.
         before = self.splats.log_scales.copy() if max_stretch and rates.log_scales else None
@@ -85,6 +87,8 @@ class CpuOptimiser:
                 beta2=self._beta2,
                 epsilon=self._epsilon,
             )
+        if start is not None and reach is not None:
+            self.splats.means[:] = start + reach[:, None] * (self.splats.means - start)
         for name, (frozen, values) in self._frozen.items():
             np.copyto(getattr(self.splats, name), values, where=frozen)
         if before is not None:

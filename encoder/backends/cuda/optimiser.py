@@ -77,8 +77,10 @@ class CudaOptimiser:
         rates: LearningRates,
         *,
         max_stretch: float = 0.0,
+        reach: FloatArray | None = None,
     ) -> None:
         self._steps, self._read = self._steps + 1, None
+        start = None if reach is None else self.values["means"].clone()
         if not len(self):
             return
         tensors = tensors_of(gradients, self._device)
@@ -94,6 +96,9 @@ class CudaOptimiser:
         blocks = -(-len(self) // THREADS), len(ATTRIBUTES)
         trained = [self._trained(name, tensors, rates) for name in ATTRIBUTES]
         self._kernels.launch("adam", blocks, *trained, len(self), step)
+        if start is not None and reach is not None:
+            means = self.values["means"]
+            means.copy_(start + upload(reach, self._device)[:, None] * (means - start))
 
     def _trained(self, name: str, gradients: Tensors, rates: LearningRates) -> _Trained:
         """An attribute for the kernel, null where its rate is 0."""

@@ -38,7 +38,7 @@ from .guesses import guess_points
 from .plane_sweep import DepthMap, choose_planes, sweep
 from .views import Array, SweepView, inside, make_view, project
 
-__all__ = ["FirstPoints", "KnownPoints", "first_points", "first_points_memory"]
+__all__ = ["FirstPoints", "KnownPoints", "first_points", "first_points_memory", "take_points"]
 
 _FINE_PIXELS, _ALL_FINE_PIXELS = 250_000, 2_000_000
 _COARSE_PIXELS = 14_000
@@ -90,6 +90,18 @@ class FirstPoints:
     confidence: NDArray[np.float32]
     seen: NDArray[np.bool_]
     placed: NDArray[np.bool_]
+
+
+def take_points(points: FirstPoints, which: NDArray[np.bool_]) -> FirstPoints:
+    """The points of ``which`` (P,)."""
+    return FirstPoints(
+        points.xyz[which],
+        points.rgb[which],
+        points.spacing[which],
+        points.confidence[which],
+        points.seen[:, which],
+        points.placed[which],
+    )
 
 
 def first_points_memory(cameras: Sequence[Camera], threads: int) -> int:

@@ -106,6 +106,7 @@ def test_a_time_outside_the_stream_is_named(tmp_path: Path) -> None:
         ({"width": 64, "height": 64} | LOOK, "either fx"),
         ({"width": 64, "height": 64, "fov_y": 180} | LOOK, "between 1e-06 and 180"),
         (LENS | LOOK | {"fx": -1}, "above 0"),
+        (LENS | LOOK | {"fy": 0}, "above 0"),
         (LENS | LOOK | {"near": -0.1}, "near is -0.1"),
         (LENS | LOOK | {"width": 0}, "whole number of pixels"),
         (LENS | LOOK | {"width": 6.5}, "whole number of pixels"),

@@ -57,6 +57,11 @@ def test_a_direction_has_its_place_on_the_sphere(longitude: float, latitude: flo
     assert seen.depth.ravel()[at] == pytest.approx(3, rel=0.03)
 
 
+def test_two_eyes_take_a_picture_twice_as_wide() -> None:
+    picture = Stereo(0.1).picture_of(CAMERA)
+    assert (picture.width, picture.height) == (2 * CAMERA.width, CAMERA.height)
+
+
 def test_a_sphere_of_one_grey_shows_no_seam() -> None:
     """Points spread evenly (a Fibonacci sphere), so dense that every pixel is covered."""
     k = np.arange(4000) + 0.5

@@ -12,12 +12,11 @@ import pytest
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis import EFFECTS, Decision, EffectChoice, effect_choice, with_effects
-from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.methods import decogs, paper
+from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
-from decogs.encoder.settings.frame import EmergenceSettings
-from decogs.encoder.training import emergence, selective_densification
+from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
+from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame
 from decogs.formats.errors import UsageError
 from decogs.formats.stream.container import PacketKind
 
@@ -146,13 +145,7 @@ def test_every_effect_can_be_left_out(name: str) -> None:
     assert without != replace(everything, effects=without.effects), "leaving it out changes what is done"
 
 
-def test_none_trains_and_compares_nothing(
-    encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def never(*_: Any, **__: Any) -> Any:
-        raise AssertionError("pictures were compared")
-
-    monkeypatch.setattr(MaskMemory, "pixel_changes", never)
+def test_none_trains_nothing(encode: Any, moving_rig: Path, tiny_settings: Any) -> None:
     encoded = encode(moving_rig, settings=built("none", settings=tiny_settings))
     assert {frame.kind for frame in encoded.report.frames[1:]} == {"skip"}
     assert not any({"training", "selection", "effects"} & frame.seconds.keys() for frame in encoded.report.frames)
@@ -162,23 +155,30 @@ def test_none_trains_and_compares_nothing(
 
 
 def test_a_change_of_light_builds_no_cache_and_seeks_nothing_new(
-    encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+    encode: Any, moving_rig: Path, moving: Any, tiny_settings: Any
 ) -> None:
     """Even where the preset has all of it."""
+    stages, given = set[str](), list[FrameSettings]()
 
-    def never(*_: Any, **__: Any) -> Any:
-        raise AssertionError("built without being called for")
+    class Noted(PaperTrainer):
+        def train(self, frame: FrameInput, /) -> TrainedFrame:
+            given.append(frame.settings)
+            return super().train(frame)
 
-    for place, name in (
-        (paper, "train_cache"),
-        (selective_densification, "_grow"),
-        (emergence, "find_seeds"),
-        (decogs, "shared_displacements"),
-    ):
-        monkeypatch.setattr(place, name, never)
     frame = replace(PRESETS["paper"].frame, masks=tiny_settings.frame.masks, warm_start=0.9)
     settings = replace(tiny_settings, method="paper", frame=replace(frame, emergence=EmergenceSettings()))
-    encoded = encode(moving_rig, settings=built("appearance_change", settings=settings))
+    encoded = encode(
+        moving_rig,
+        settings=built("appearance_change", settings=settings),
+        keyframe=moving.path,
+        context=lambda context: replace(
+            context, method=FrameMethod(Noted), on_loss=lambda stage, *_: stages.add(stage)
+        ),
+    )
+    assert stages == {"joint"}, "no cache is trained"
+    assert given
+    for asked in given:
+        assert (asked.rates.means, asked.grow_fraction, asked.emergence.max_seeds, asked.warm_start) == (0, 0, 0, 0)
     deltas = [frame for frame in encoded.report.frames if frame.kind == "delta"]
     assert deltas
     for frame in deltas:

@@ -11,7 +11,7 @@ import pytest
 from decogs.formats.errors import UsageError
 from decogs.rig.calibration.board_rig import place_by_board
 from decogs.rig.calibration.boards import BoardFinder, BoardView, Charuco, parse_board
-from decogs.rig.calibration.lenses import Lens
+from decogs.rig.calibration.lenses import Lens, lens_from_board
 
 BOARD = "charuco:5x4:0.05:0.0375:DICT_4X4_50"
 LENS = Lens("opencv", (500.0, 500.0), (319.5, 239.5), (-0.1, 0.02, 0.0, 0.0))
@@ -141,6 +141,22 @@ def test_cameras_are_placed_by_exact_sights() -> None:
     for number, pose in enumerate(poses):
         # Sights are exact; what remains is where the steps end.
         np.testing.assert_allclose(np.concatenate(rig.poses[number]), pose, atol=1e-4)
+
+
+def test_a_fisheye_is_told_from_other_lenses_by_exact_sights() -> None:
+    lens = Lens("fisheye", (260.0, 265.0), (325.0, 236.0), (0.05, 0.01, 0.0, 0.0))
+    corners, draw, views = parse_board(BOARD).corners(), np.random.default_rng(3), list[BoardView]()
+    while len(views) < 8:
+        place = np.append(draw.uniform(-0.4, 0.2, 2), 0.2)
+        pixels = lens.project(draw.uniform(-0.4, 0.4, 3), place, corners)[0] + 0.5
+        if (pixels > 0).all() and (pixels < (640, 480)).all():
+            views.append(BoardView(np.arange(len(corners)), pixels, False))
+    found = lens_from_board(views, corners, (640, 480))
+    assert found is not None
+    assert found.kind == "fisheye"
+    # Sights are exact, but in single precision.
+    assert (*found.focal, *found.centre) == pytest.approx((*lens.focal, *lens.centre), abs=0.01)
+    assert found.distortion == pytest.approx(lens.distortion, abs=1e-3)
 
 
 def test_a_mirrored_video_is_not_placed() -> None:

@@ -79,6 +79,13 @@ def test_a_distance_from_a_camera_that_is_not_placed_is_refused() -> None:
         scale_to_distance(ring(), Distance("cam9", "cam0", 1.0))
 
 
+def test_cameras_in_one_place_have_no_distance() -> None:
+    one = ring().placed[0]
+    found = replace(ring(), placed=(one, replace(one, camera=replace(one.camera, name="twin"))))
+    with pytest.raises(UsageError, match="from cam0 to twin: they stand in one place"):
+        scale_to_distance(found, Distance("cam0", "twin", 1.0))
+
+
 def test_a_video_that_is_there_twice_is_named(tmp_path: Path) -> None:
     write_board_videos(tmp_path, frames=2)
     check_copies(open_footage(tmp_path))

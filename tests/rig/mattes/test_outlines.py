@@ -97,6 +97,15 @@ def test_chroma_half_a_pixel_off_is_put_back() -> None:
     assert iou(mended, matte) > iou(right, matte) - 0.005
 
 
+@pytest.mark.parametrize("lie", ["across", "down"])
+def test_edges_across_tell_where_chroma_lies_and_edges_down_do_not(lie: str) -> None:
+    """Bars of 8 columns, or rows: of rows, half a column is no difference."""
+    bars = np.where((np.arange(64) // 8 % 2)[None, :, None], [200.0, 60, 40], [20.0, 160, 60]).repeat(64, 0)
+    bars = bars if lie == "across" else bars.transpose(1, 0, 2)
+    beside = with_half_size_chroma(np.ascontiguousarray(bars), stated=False)
+    assert (centred_chroma(beside) is beside) == (lie == "down")
+
+
 def test_outlines_follow_the_picture() -> None:
     picture, matte = on_green()
     # Measured: .981 and .959; .973 and .954 where outlines are as the key guesses them.

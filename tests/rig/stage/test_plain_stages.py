@@ -109,7 +109,7 @@ def test_nobody_need_be_on_stage_in_the_first_frame(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def floor(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_stage("floor", tmp_path_factory.mktemp("room") / "floor", cameras(SIZE), frames=2)
+    return write_stage("floor", tmp_path_factory.mktemp("room") / "floor", cameras(SIZE), frames=1)
 
 
 def test_a_room_with_plain_walls_has_its_floor_and_walls_where_they_are(floor: Path) -> None:
@@ -131,8 +131,9 @@ def test_a_room_with_plain_walls_has_its_floor_and_walls_where_they_are(floor: P
     assert room.free(np.array([[0.0, 0.0, 2.2], [1.5, 1.5, 1.6]])).all()
 
 
+@pytest.mark.slow
 def test_a_room_with_plain_walls_has_less_fog(floor: Path, tmp_path: Path) -> None:
-    found = encode(floor, tmp_path / "room.dgs", "live", holdout=[LEFT_OUT], effects="none", frames=slice(0, 1))
+    found = encode(floor, tmp_path / "room.dgs", "live", holdout=[LEFT_OUT], effects="none")
     # 28.5 dB at this size, against 24.5 without the walls, where seeds differ by up to 2.
     assert found.frames[0].held_out_psnr > 27
 
@@ -154,7 +155,7 @@ def test_a_picture_is_searched_for_a_stage_once(grey: Path, tmp_path: Path, monk
 
 
 def test_one_plain_wall_is_no_plain_room(tmp_path: Path) -> None:
-    ingest, frame = first_pictures(write_stage("wall", tmp_path / "wall", cameras(SIZE), frames=1))
+    ingest, frame = first_pictures(write_stage("wall", tmp_path / "wall", cameras(SIZE)[::2], frames=1))
     assert find_stage(ingest.views, frame) is None
 
 
@@ -224,6 +225,7 @@ def test_gains_of_cameras_are_found_on_the_backdrop(grey: Path, stage: PlainStag
     assert np.array(exposures) == pytest.approx(gains - np.median(gains), abs=0.01)
 
 
+@pytest.mark.slow
 def test_no_fog_before_half_a_ring_of_cameras(grey: Path, tmp_path: Path) -> None:
     others = [camera.name for camera in cameras(SIZE)[9:]]
     job = {"holdout": [LEFT_OUT], "exclude": others, "effects": "none", "frames": slice(0, 1)}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from decogs.rig.synchronisation.agreement import Agreement
-from decogs.rig.synchronisation.joint import StartEstimate, joint_starts
+from decogs.rig.synchronisation.joint import StartEstimate, _lead, joint_starts
 
 REACH, EVIDENCE = 6, 40.0
 
@@ -32,6 +32,15 @@ def from_first(joint: StartEstimate) -> np.ndarray:
 
 
 STARTS = [0.0, 2.25, -1.5, 0.75, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "lead"),
+    [([0, 8, 9, 7, 5, 0, 6], 3), ([9, 8, 1, 0, 0], 8), ([0, 2, 0, 8, 9], 7), ([8, 9, 8], 9), ([4, 0, 4, 0], 0)],
+    ids=["beside it", "first", "last", "alone", "twice"],
+)
+def test_a_pair_leads_by_what_its_best_lag_has_over_those_not_beside_it(evidence: list[float], lead: float) -> None:
+    assert _lead(Agreement(0, 1, np.array(evidence, np.float64), np.zeros(len(evidence)))) == lead
 
 
 def test_pairs_that_agree_tell_fractions_exactly() -> None:
