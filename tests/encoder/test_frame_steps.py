@@ -341,7 +341,7 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     context = Stub(
         settings=settings,
         method=Stub(dense=True, trainer=lambda context: context),
-        ingest=Stub(views=[Stub(pinhole=tiny_rig.camera(number)) for number in (0, 1)]),
+        ingest=Stub(views=[Stub(pinhole=tiny_rig.camera(number), recorded=None) for number in (0, 1)]),
         kernel=None,
         seed=0,
         threads=1,
