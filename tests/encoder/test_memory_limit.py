@@ -127,16 +127,14 @@ def test_where_memory_is_tight_nothing_is_read_ahead_and_the_stream_is_the_same(
     assert (tmp_path / "ample").read_bytes() == (tmp_path / "tight").read_bytes()
 
 
-def test_a_part_keeps_to_the_limit_as_well(
-    moving_rig: Path, tiny_settings: EncodeSettings, tmp_path: Path, used: list[int]
-) -> None:
+def test_a_part_keeps_to_the_limit_as_well(moving_rig: Path, tiny_settings: EncodeSettings, tmp_path: Path) -> None:
     closed = replace(tiny_settings, segment=2, closed=True)
     ample = memory_within(Ingest(open_rig(moving_rig)), closed, None, gaussians=0, frames=4, threads=2)
-    for name, limit, expected in (("ample", ample.size, 1), ("tight", ample.size - 1, 0)):
-        used.clear()
+    for name, limit, expected in (("ample", ample.size, True), ("tight", ample.size - 1, False)):
+        reads_ahead = ReadsAhead()
         given = {"only": slice(0, 2), "segment": 2, "closed": True, "threads": 2}
-        encode_rig(moving_rig, tmp_path / name, tiny_settings, max_memory=limit, **given)
-        assert len(used) == expected
+        encode_rig(moving_rig, tmp_path / name, tiny_settings, max_memory=limit, progress=reads_ahead, **given)
+        assert reads_ahead.found == expected
     assert (tmp_path / "ample").read_bytes() == (tmp_path / "tight").read_bytes()
 
 

@@ -221,7 +221,7 @@ def test_a_signal_leaves_nothing_of_a_stream(tmp_path: Path, ended_by: signal.Si
     """The command waits in the midst of its second frame."""
     program = """
 import signal, sys, time
-from decogs.encoder import commands
+from decogs.encoder.packing import commands
 from decogs.encoder.packing import packing
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored by what runs under nohup
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -245,7 +245,7 @@ sys.exit(commands.pack_main())
 
 def test_a_full_disk_is_told_without_resume(tmp_path: Path) -> None:
     """A limit on the size of files stands for the disk's."""
-    program = "import sys; from decogs.encoder import commands; sys.exit(commands.pack_main())"
+    program = "import sys; from decogs.encoder.packing import commands; sys.exit(commands.pack_main())"
     files = write(tmp_path, [a_scene()])
 
     def short() -> None:

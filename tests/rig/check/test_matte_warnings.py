@@ -15,7 +15,7 @@ NAMES = ("cam00", "cam01")
 
 
 def warnings(worn: tuple[float, ...], told: tuple[str, ...] = ()) -> list[str]:
-    views = [SimpleNamespace(camera=SimpleNamespace(name=name), pinhole=None) for name in NAMES]
+    views = [SimpleNamespace(camera=SimpleNamespace(name=name), pinhole=None, recorded=None) for name in NAMES]
     ingest: Any = SimpleNamespace(views=views, matte_warnings=told, matte_origin=lambda name, index: f"{name}/{index}")
     said: list[str] = []
     frame = RigFrame(3, [], [], alpha=[np.eye(8, dtype=np.float32)] * 2, screen_coloured_shares=worn)

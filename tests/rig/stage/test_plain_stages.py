@@ -14,7 +14,6 @@ import pytest
 from numpy.typing import NDArray
 
 from decogs.decoder.reading.stream import open_stream
-from decogs.encoder.frame import encode_frame
 from decogs.encoder.input.compensation.matching import find_colours
 from decogs.encoder.keyframe import first_frame
 from decogs.encoder.settings.presets import preset
@@ -146,8 +145,7 @@ def test_a_picture_is_searched_for_a_stage_once(grey: Path, tmp_path: Path, monk
         searched.append(frame.index)
         return find_stage(views, frame)
 
-    for module in (first_frame, encode_frame):
-        monkeypatch.setattr(module, "find_stage", noted)
+    monkeypatch.setattr(first_frame, "find_stage", noted)
     live = preset("live")
     few = replace(live, closed=True, segment=1, keyframe=replace(live.keyframe, iterations=20))
     encode(grey, tmp_path / "closed.dgs", few, holdout=[LEFT_OUT], effects="none")
