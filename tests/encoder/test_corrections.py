@@ -425,8 +425,8 @@ def test_a_decoder_shows_what_a_camera_recorded(corrected: Any, faulty_rig: Path
                 video = read_picture(faulty_rig / name / f"{frame:04d}.png")
                 left = logit_shift(*(planar(picture / np.float32(255)) for picture in (video, read_picture(path))))
                 expected = np.log(told[frame][name].odds_gain) if drift_free else 0
-                # The scene is a crude one: whole pictures of it are up to .11 off what the shared points tell, .14 on another
-                # kind of processor.
+                # The scene is a crude one: whole pictures of it are up to .11 off what the shared points tell, .14 on
+                # another kind of processor.
                 np.testing.assert_allclose(left.shift, expected, atol=0.15)
 
 
