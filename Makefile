@@ -92,7 +92,7 @@ lint: $(READY) ## ruff: rules and formatting
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-type: $(READY) ## mypy --strict over the five layers
+type: $(READY) ## mypy --strict over the six layers
 	$(BIN)/mypy
 
 layers: $(READY) ## import contracts: formats <- codec <- decoder <- rig <- encoder <- bench

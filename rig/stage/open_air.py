@@ -117,19 +117,24 @@ def find_open_air(views: Sequence[View], frame: RigFrame, xyz: NDArray[np.floati
     distances = np.linalg.norm(xyz - centre, axis=1)
     if np.percentile(distances, _DISTANCE_PERCENTILE) < _MIN_DISTANCE * size:
         return None
-    seen = [stage_view(*each, _DECISION_PIXELS) for each in zip(views, frame.training, strict=True)]
-    sky = _Sky.of(seen)
-    return _open_air(seen, sky, centre, size) if _is_sky(seen, sky, centre, size) else None
+    return _shown_sky(views, frame, centre, size)
 
 
 def open_air_of(views: Sequence[View], frame: RigFrame, means: NDArray[np.floating]) -> OpenAir | None:
-    """The sky of a keyframe whose Gaussians, at ``means`` (N, 3), have a dome."""
+    """The sky of a keyframe whose Gaussians, at ``means`` (N, 3), have a dome, if the ``frame`` shows it."""
     centre, size = _rig(views)
     far = np.linalg.norm(means - centre, axis=1) > 0.5 * _DOME_DISTANCE * size
     if frame.alpha or size <= 0 or np.count_nonzero(far) < _MIN_CELLS:
         return None
+    # Far Gaussians alone are no dome: a narrow rig's background is as far away.
+    return _shown_sky(views, frame, centre, size)
+
+
+def _shown_sky(views: Sequence[View], frame: RigFrame, centre: NDArray[np.float64], size: float) -> OpenAir | None:
+    """The sky of the pictures, if they show one."""
     seen = [stage_view(*each, _DECISION_PIXELS) for each in zip(views, frame.training, strict=True)]
-    return _open_air(seen, _Sky.of(seen), centre, size)
+    sky = _Sky.of(seen)
+    return _open_air(seen, sky, centre, size) if _is_sky(seen, sky, centre, size) else None
 
 
 def _rig(views: Sequence[View]) -> tuple[NDArray[np.float64], float]:
