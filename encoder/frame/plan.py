@@ -144,7 +144,7 @@ def _is_deferred(memory: Memory, watch: Stopwatch) -> bool:
 
 
 def _select(context: Context, frame: PendingFrame, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
-    """S_t. Of a backdrop, a plain stage's or the sky, whose places are known, each part may be seen by a single view."""
+    """S_t. Of a backdrop, a stage's or the sky, whose places are known, each part may be seen by a single view."""
     used, settings = usable_views(masks), context.settings.frame.selection
     scene, stage = frame.scene.splats, frame.memory.stage
     views = frame.memory.views.of(scene)

@@ -22,7 +22,7 @@ sys.path[:0] = [str(Path(__file__).parents[1])] * (str(Path(__file__).parents[1]
 
 from decogs.formats.cameras import Camera, camera_centre, ray_slopes  # noqa: E402
 from stages import scenes  # noqa: E402
-from stages.make import coded, size  # noqa: E402
+from stages.make import calibration, coded, size  # noqa: E402
 from stages.ray import Array, Body, Lamp, Paint, light, noise, turned, unit  # noqa: E402
 
 GRID = 2  # samples along a side of a pixel
@@ -221,15 +221,8 @@ def write_meadow(sky: str, folder: Path, views: Sequence[Camera], frames: int, s
             if frame == 0:
                 (folder / "truth/depth").mkdir(parents=True, exist_ok=True)
                 np.save(folder / f"truth/depth/{camera.name}.npy", depth)
-    names = ("name", "width", "height", "fx", "fy", "cx", "cy")
-    entries = [
-        {name: getattr(view, name) for name in names}
-        | {"file": view.name, "distortion_model": "none", "world_to_camera": view.world_to_camera.tolist()}
-        for view in views
-    ]
     (folder / "scene.json").write_text(json.dumps({"name": sky, "seed": seed, "held_out": HELD_OUT}))
-    rig = {"fps": FPS, "pixel_convention": "(0.5,0.5)", "length_unit": "metre", "source": "made", "cameras": entries}
-    (folder / "rig.json").write_text(json.dumps(rig))
+    (folder / "rig.json").write_text(json.dumps(calibration(views)))
     return folder
 
 

@@ -151,7 +151,7 @@ def write_stage(
     told = {"name": name, "seed": seed, "held_out": scenes.HELD_OUT, "gains": gains.tolist()}
     told["backdrop"] = scenes.ROOMS[stage.room]
     (folder / "scene.json").write_text(json.dumps(told, indent=1))
-    (folder / "rig.json").write_text(json.dumps(_calibration(views)))
+    (folder / "rig.json").write_text(json.dumps(calibration(views)))
     return folder
 
 
@@ -160,7 +160,8 @@ def _write(path: Path, picture: NDArray[np.generic]) -> None:
     assert cv2.imwrite(str(path), picture.astype(np.uint8)), path
 
 
-def _calibration(views: Sequence[Camera]) -> dict[str, object]:
+def calibration(views: Sequence[Camera]) -> dict[str, object]:
+    """The rig.json of pinhole cameras in folders of their names."""
     names = ("name", "width", "height", "fx", "fy", "cx", "cy")
     entries = [
         {name: getattr(view, name) for name in names}
