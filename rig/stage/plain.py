@@ -53,7 +53,8 @@ def _deviation(picture: FloatArray) -> tuple[FloatArray, float]:
     """Deviation of every window from its smooth part, (H, W), of the colour with most; and the noise; 8-bit levels."""
     window = (_WINDOW_PIXELS, _WINDOW_PIXELS)
     detail = picture - floats(cv2.GaussianBlur(picture, (0, 0), _WINDOW_PIXELS / 2))
-    deviation = 255 * np.sqrt(floats(cv2.blur(detail * detail, window)).max(axis=2))
+    variance = np.maximum(floats(cv2.blur(detail * detail, window)), 0.0)  # its running sums go below 0 by rounding
+    deviation = 255 * np.sqrt(variance.max(axis=2))
     return deviation, float(np.clip(np.percentile(deviation, _NOISE_PERCENTILE), _MIN_NOISE_LEVELS, _MAX_NOISE_LEVELS))
 
 
