@@ -51,15 +51,17 @@ def moving_regions(
     previous: Sequence[FloatArray],
     masks: Sequence[FrameMask],
     *,
+    recorded: Sequence[BoolArray | None] = (),
     threads: int = 1,
 ) -> list[BoolArray] | None:
     """Of each view, the pixels (H, W) in and around what moves; None where light alone changes, or nothing does.
 
-    ``current``, ``previous``: of every view its picture (3, H, W) 0..1 and its reference. Raises ValueError when they
-    are not the same views.
+    ``current``, ``previous``: of every view its picture (3, H, W) 0..1 and its reference; ``recorded``: the pixels
+    (H, W) of it that were, where that is not all. Raises ValueError when they are not the same views.
     """
+    recorded = recorded or [None] * len(masks)
     with side_by_side(threads) as each:
-        changes = list(each(lambda view: _changes(*view), zip(current, previous, masks, strict=True)))
+        changes = list(each(lambda view: _changes(*view), zip(current, previous, masks, recorded, strict=True)))
     views = [pixels for pixels, _ in changes if pixels is not None]
     if not views:
         return None
@@ -70,7 +72,9 @@ def moving_regions(
     return None
 
 
-def _changes(current: FloatArray, previous: FloatArray, mask: FrameMask) -> tuple[_Pixels | None, BoolArray]:
+def _changes(
+    current: FloatArray, previous: FloatArray, mask: FrameMask, recorded: BoolArray | None
+) -> tuple[_Pixels | None, BoolArray]:
     """A view's changes, None without any, and the pixels (H, W) in and around what moves."""
     moving = np.zeros(mask.raw.shape, np.bool_)
     if not mask.dilated.any():
@@ -80,7 +84,7 @@ def _changes(current: FloatArray, previous: FloatArray, mask: FrameMask) -> tupl
     maps = change_maps(
         _small(previous[:, part[0], part[1]], scale),
         _small(current[:, part[0], part[1]], scale),
-        picture_noise(previous[1], current[1]),
+        picture_noise(previous[1], current[1], recorded=recorded),
     )
     around = maps.around(round(scale * mask.raw.shape[1]))
     moving[part] = _enlarge(around, moving[part].shape)

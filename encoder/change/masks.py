@@ -357,7 +357,8 @@ def _noise_floor(now: FloatArray, reference: FloatArray, settings: MaskSettings,
     """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""
     if not settings.noise_multiple:
         return 0.0
-    noise = settings.noise_multiple * frame_noise(now, reference, settings.threshold / settings.noise_multiple)
+    negligible = settings.threshold / settings.noise_multiple
+    noise = settings.noise_multiple * frame_noise(now, reference, negligible, recorded=recorded)
     if noise <= settings.threshold:
         return noise
     clearly = share(difference_mask(now, reference, CLEAR_CHANGE_LEVELS), recorded)

@@ -76,7 +76,7 @@ def _look(
     kernel.bring(*pictures)
     changes = memory.pixel_changes(pictures, settings.frame.masks, threads)
     masks = memory.masks(pictures, changes, settings.frame.masks, threads)
-    moving = moving_regions(pictures, memory.references, masks, threads=threads)
+    moving = moving_regions(pictures, memory.references, masks, recorded=memory.recorded, threads=threads)
     return FirstLook(memory, pictures, changes, masks, moving)
 
 

@@ -113,7 +113,13 @@ def plan_frame(
             if look is not None and look.masks is masks:
                 moving = look.moving
             else:
-                moving = moving_regions(frame.pictures, memory.masks.references, masks, threads=context.threads)
+                moving = moving_regions(
+                    frame.pictures,
+                    memory.masks.references,
+                    masks,
+                    recorded=memory.masks.recorded,
+                    threads=context.threads,
+                )
             enabled = enabled_effects(settings, moving)
             effects, settings = enabled.effects, enabled.settings
             if enabled.moving is None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from decogs.formats.splats import FloatArray
 
 F64 = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 _LAPLACIAN = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
 _SAMPLE_STRIDE, _SAMPLE_COUNT = 7, 100_000
@@ -34,42 +35,60 @@ _MAX_DEVIATION_RATIO = 2.0
 
 
 def frame_noise(
-    current: FloatArray, previous: FloatArray, negligible: float = 0.0, samples: int = _SAMPLE_COUNT
+    current: FloatArray,
+    previous: FloatArray,
+    negligible: float = 0.0,
+    samples: int = _SAMPLE_COUNT,
+    recorded: BoolArray | None = None,
 ) -> float:
     """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, robust to motion.
 
     Both (3, H, W). 0 if most of the picture has changed, which leaves noise undetermined.
-    ``negligible``: deviation below which the result may be too large. ``samples``: values that suffice.
+    ``negligible``: deviation below which the result may be too large. ``samples``: values that suffice. ``recorded``:
+    the pixels (H, W) that count, None meaning all.
     """
-    deviation = _robust_deviation(_sample(current, samples) - _sample(previous, samples))
+    deviation = _robust_deviation(_sample(current, samples, recorded) - _sample(previous, samples, recorded))
     if deviation <= negligible:
         return deviation
-    noise = picture_noise(previous, current, samples)
+    noise = picture_noise(previous, current, samples, recorded)
     return deviation if deviation <= _MAX_DEVIATION_RATIO * math.sqrt(2) * noise else 0.0
 
 
-def picture_noise(before: FloatArray, now: FloatArray, samples: int = _SAMPLE_COUNT) -> float:
-    """Deviation of one picture by noise, in 8-bit levels, from two, (H, W) or (C, H, W), 0..1."""
+def picture_noise(
+    before: FloatArray, now: FloatArray, samples: int = _SAMPLE_COUNT, recorded: BoolArray | None = None
+) -> float:
+    """Deviation of one picture by noise, in 8-bit levels, from two, (H, W) or (C, H, W), 0..1.
+
+    ``recorded``: the pixels (H, W) that count, None meaning all.
+    """
     planes = [picture if picture.ndim == 3 else picture[None] for picture in (before, now)]
-    detail: FloatArray = np.stack([_laplacian(one, two, samples) for one, two in zip(*planes, strict=True)])
-    from_neighbours = _robust_deviation(_sample(detail, samples)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
-    across = _deviation_across_light(*planes)
+    rows = _filtered_rows(planes[0][0], samples)
+    detail: FloatArray = np.stack([_laplacian(one, two, rows) for one, two in zip(*planes, strict=True)])
+    inner = None if recorded is None else cv2.erode(recorded.astype(np.uint8), np.ones((3, 3), np.uint8))[rows] > 0
+    from_neighbours = _robust_deviation(_sample(detail, samples, inner)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
+    across = _deviation_across_light(*planes, recorded)
     return from_neighbours if from_neighbours <= _MAX_NOISE_RATIO * across else across
 
 
-def _sample(values: FloatArray, count: int) -> FloatArray:
-    """Every seventh value, fewer of large pictures."""
-    return values.ravel()[:: max(_SAMPLE_STRIDE, values.size // count)]
+def _sample(values: FloatArray, count: int, recorded: BoolArray | None) -> FloatArray:
+    """Every seventh value (..., H, W) of what was ``recorded``, fewer of large pictures."""
+    counted = values if recorded is None else values[..., recorded]
+    return counted.ravel()[:: max(_SAMPLE_STRIDE, counted.size // count)]
 
 
-def _laplacian(before: FloatArray, now: FloatArray, samples: int) -> FloatArray:
-    """How the difference of two planes (H, W) differs from the mean of its neighbours, in all rows or in enough."""
-    stride = before.size // (2 * samples)
-    if stride < 2:
+def _filtered_rows(plane: FloatArray, samples: int) -> slice:
+    """Enough rows of a plane (H, W) for so many samples; inner ones if not all."""
+    stride = plane.size // (2 * samples)
+    return slice(None) if stride < 2 else slice(1, len(plane) - 1, stride)
+
+
+def _laplacian(before: FloatArray, now: FloatArray, rows: slice) -> FloatArray:
+    """How the difference of two planes (H, W) differs from the mean of its neighbours, in these rows."""
+    if rows == slice(None):
         return np.asarray(cv2.filter2D(now - before, -1, _LAPLACIAN), np.float32)
     # Each row between its neighbours; what is filtered around these is of no use.
-    rows = (np.arange(1, len(before) - 1, stride)[:, None] + np.arange(-1, 2)).ravel()
-    return np.asarray(cv2.filter2D(now[rows] - before[rows], -1, _LAPLACIAN)[1::3], np.float32)
+    three = (np.arange(len(before))[rows, None] + np.arange(-1, 2)).ravel()
+    return np.asarray(cv2.filter2D(now[three] - before[three], -1, _LAPLACIAN)[1::3], np.float32)
 
 
 def _robust_deviation(difference: FloatArray) -> float:
@@ -86,13 +105,20 @@ def _robust_deviation(difference: FloatArray) -> float:
     return deviation
 
 
-def _deviation_across_light(before: FloatArray, now: FloatArray) -> float:
+def _deviation_across_light(before: FloatArray, now: FloatArray, recorded: BoolArray | None) -> float:
     """Deviation, in levels, across the lines of affine changes of light, in the quietest tiles; inf without any.
+
+    Tiles count that were ``recorded`` as a whole.
 
     Rows and columns count as well: a wave of brightness may be finer than a tile.
     """
     a, b = _tiles(before), _tiles(now)
     channels = len(before)
+    if recorded is not None:
+        whole = np.tile((_tiles(recorded[None]) > 0).all(axis=(0, 1)), channels)
+        a, b = a[..., whole], b[..., whole]
+        if not whole.any():
+            return math.inf
     clipped = ((np.minimum(a, b) < _CLIPPED_MARGIN_LEVELS) | (np.maximum(a, b) > 255 - _CLIPPED_MARGIN_LEVELS)).mean(
         axis=(0, 1)
     )
@@ -111,7 +137,7 @@ def _deviation_across_light(before: FloatArray, now: FloatArray) -> float:
     return math.sqrt(max(float(np.quantile(least.mean(axis=0), _QUIET_TILE_QUANTILE)), 0.0))
 
 
-def _tiles(picture: FloatArray) -> FloatArray:
+def _tiles(picture: FloatArray | BoolArray) -> FloatArray:
     """Square tiles (side, side, C * N) of the picture (C, H, W), spread over it, in levels."""
     channels, height, width = picture.shape
     rows, columns = height // _TILE_PIXELS, width // _TILE_PIXELS

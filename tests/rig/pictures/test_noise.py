@@ -81,6 +81,16 @@ def test_a_noisy_camera_still_gets_its_threshold_beside_what_moves() -> None:
     assert found == pytest.approx(math.sqrt(2) * deviation, rel=0.25)
 
 
+def test_what_a_lens_did_not_record_tells_nothing_of_noise() -> None:
+    """Straightened fisheyes are blank for the most part, and filled from what is beside."""
+    scene, deviation = texture(3), 4.0
+    row, column = np.mgrid[: SIZE[0], : SIZE[1]]
+    inside = ((row / SIZE[0] - 0.5) / 0.4) ** 2 + ((column / SIZE[1] - 0.5) / 0.3) ** 2 < 1
+    pictures = [np.where(inside, recorded(scene, deviation), np.float32(0.5)) for _ in range(2)]
+    assert picture_noise(*pictures, recorded=inside) == pytest.approx(deviation, rel=0.1)
+    assert frame_noise(*pictures, recorded=inside) == pytest.approx(math.sqrt(2) * deviation, rel=0.1)
+
+
 def test_pictures_that_tell_nothing_have_no_noise() -> None:
     for picture in (np.zeros((3, 8, 8), np.float32), np.ones((3, 40, 40), np.float32)):
         assert picture_noise(picture, picture) == frame_noise(picture, picture) == 0
