@@ -90,6 +90,17 @@ def test_a_recording_has_the_bytes_of_an_encode_afterwards(
     assert (tmp_path / "live.dgs").read_bytes() == (tmp_path / "after.dgs").read_bytes()
 
 
+def test_so_has_a_recording_through_wide_lenses(
+    tmp_path: Path, sources: Path, moving_rig: Path, lens_rig: Path, tiny_settings: Any
+) -> None:
+    sources.write_text(impatient(sources).read_text().replace(str(moving_rig), str(lens_rig)))
+    shutil.copytree(lens_rig, tmp_path / "capture")
+    live = encode_rig(open_live(sources), tmp_path / "live.dgs", settings=tiny_settings)
+    encode_rig(lens_rig, tmp_path / "after.dgs", settings=tiny_settings)
+    assert len(live.frames) == open_rig(lens_rig).frame_count
+    assert (tmp_path / "live.dgs").read_bytes() == (tmp_path / "after.dgs").read_bytes()
+
+
 def test_what_a_camera_drops_is_its_picture_before(
     tmp_path: Path, sources: Path, moving_rig: Path, tiny_settings: Any
 ) -> None:

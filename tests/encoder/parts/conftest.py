@@ -8,15 +8,10 @@ from typing import Any
 
 import pytest
 
-from decogs.codec.packets.corrections import Correction
 from decogs.encoder import CorrectionSettings, EncodeSettings
 from decogs.encoder.settings.frame import SignificanceSettings
 from encode_rig import encode_rig as encode
-from part_takes import MOMENTS, SEGMENT, Make
-
-
-def drifting(name: str, frame: int) -> Correction:
-    return Correction(exposure=100 * frame) if name == "cam01" else Correction()
+from part_takes import MOMENTS, SEGMENT, Make, drifting
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, Switches, Targets, join
 from decogs.formats.stream.container import PacketKind
 from packets import iterate_packets
-from part_takes import FRAMES, SEGMENT, Make
+from part_takes import FRAMES, SEGMENT, Make, drifting
 
 
 def test_joined_parts_are_the_encode_in_one_go(whole: Path, parts: list[Path], tmp_path: Path) -> None:
@@ -51,6 +51,22 @@ def test_detected_effects_are_decided_once(make: Make, settings: EncodeSettings,
     made += [make(tmp_path / f"{a}.dgs", (a, b), keyframe=made[0], **chosen) for a, b in [(2, 6), (6, 7)]]
     join(made, tmp_path / "joined.dgs")
     assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
+def test_wide_lenses_are_joined_and_resumed(make: Make, tiny_rig: Any, tmp_path: Path) -> None:
+    """Their blank borders are the same in every part, and the camera's drift is found within what was recorded."""
+    wide = tiny_rig.write(tmp_path / "wide", frames=(0, 1, 3, 1), faults=drifting, lens=(-0.25, 0.0, 0.0, 0.0))
+    one = make(tmp_path / "one.dgs", rig=wide)
+    made = [make(tmp_path / "first.dgs", (0, 2), rig=wide)]
+    made += [make(tmp_path / "second.dgs", (2, 4), rig=wide, keyframe=made[0])]
+    join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+    (tmp_path / "cut.dgs").write_bytes(one.read_bytes()[: -one.stat().st_size // 6])
+    make(tmp_path / "cut.dgs", rig=wide, resume=True)
+    assert (tmp_path / "cut.dgs").read_bytes() == one.read_bytes()
+    with open_stream(one) as stream:
+        exposures = [frame.corrections["cam01"].exposure for frame in stream.frames()]
+    assert np.diff(exposures) == pytest.approx([100, 100, 100], abs=30), "of pictures of 64x48"
 
 
 def test_metrics_are_joined_too(make: Make, tmp_path: Path) -> None:

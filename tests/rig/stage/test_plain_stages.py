@@ -217,7 +217,8 @@ def test_what_was_not_recorded_is_plain() -> None:
         picture = np.zeros((60, 80, 3), np.float32)
         picture[20:40, 30:50] = random.random((20, 20, 3))
         plain = plain_pixels(picture)
-        assert plain[:10].all() and plain[50:].all()
+        assert plain[:10].all()
+        assert plain[50:].all()
         assert not plain[24:36, 34:46].any()
 
 
