@@ -19,6 +19,10 @@ from decogs.encoder.backends.tiles import tiles_with
 from decogs.encoder.change.flashes import changes_most
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.keyframe.first_points import first_points
+from decogs.encoder.keyframe.first_points.cloud import ViewDepths, empty_cloud, join
+from decogs.encoder.keyframe.first_points.frusta import DepthRange
+from decogs.encoder.keyframe.first_points.guesses import fill_empty_cells
+from decogs.encoder.keyframe.first_points.views import make_view
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.cameras import Camera, in_picture, project
 
@@ -162,6 +166,21 @@ def test_no_first_point_comes_from_what_was_not_recorded(tiny_rig: Any) -> None:
             assert seen.all()
     assert found["all"] > 0.1
     assert found["recorded"] == 0
+
+
+@pytest.mark.parametrize("confirmed_rows", [4, 40])
+def test_beside_the_middle_a_view_that_confirms_little_guesses_nothing(tiny_rig: Any, confirmed_rows: int) -> None:
+    camera = tiny_rig.camera(0)
+    row, column = np.mgrid[: SIZE[0], : SIZE[1]]
+    recorded = np.hypot(row - 24, column - 32) < 22
+    view = make_view(camera, np.full((*SIZE, 3), 0.5, np.float32), 1.0, recorded)
+    confirmed = np.where(recorded & (row < confirmed_rows + 4), np.float32(0.3), np.float32(0))
+    depths = ViewDepths(view, DepthRange(2.0, 6.0), confirmed, confirmed, 3.0)
+    guesses = join(fill_empty_cells(depths, empty_cloud(), 2.0, np.random.default_rng(0)))
+    u, v, _ = project(camera, guesses.xyz)
+    beside = np.hypot(v - 24, u - 32) > 17
+    assert len(guesses) > 10
+    assert beside.any() == (confirmed_rows == 40)
 
 
 def _header(camera: Camera) -> Any:

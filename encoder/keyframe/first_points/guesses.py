@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,6 +38,9 @@ _CONTINUED_SCATTER = 0.003
 """Relative standard deviation of the depth of continued points."""
 _CONTINUED_PER_CELL = 16.0
 """Continued points in a cell, at most."""
+_BORDER_WIDTHS = 0.1
+"""Width of the border of what a lens recorded, in widths of the picture, in which a view that confirms too little
+guesses nothing: rays there lead far to the side, and what is guessed too near on them hangs before other cameras."""
 _MIN_DEPTH_FRACTION = 0.9
 """Share of the nearest confirmed depth of any view that sees it at which a guess must lie at least."""
 
@@ -104,6 +108,15 @@ def _recorded_cells(view: SweepView) -> NDArray[np.bool_]:
     return np.asarray(padded.reshape(rows, CELL_PIXELS, columns, CELL_PIXELS).any(axis=(1, 3)))
 
 
+def _inside_border(view: SweepView) -> NDArray[np.bool_]:
+    """Pixels (H, W) away from the border of what a lens recorded; all of a picture that was recorded as a whole."""
+    if view.recorded is None:
+        return np.ones((view.height, view.width), np.bool_)
+    framed = np.pad(view.recorded.astype(np.uint8), 1)
+    distance = cv2.distanceTransform(framed, cv2.DIST_C, cv2.DIST_MASK_3)[1:-1, 1:-1]
+    return np.asarray(distance > _BORDER_WIDTHS * view.width)
+
+
 def fill_empty_cells(
     view_depths: ViewDepths, cloud: Cloud, pixels: float, random: np.random.Generator
 ) -> tuple[Cloud, Cloud]:
@@ -124,7 +137,8 @@ def fill_empty_cells(
     continued = _continued(view, empty, filled, goes_on, pixels, random) if goes_on.any() else empty_cloud()
 
     column, row = _pixels_of(view, empty, min((CELL_PIXELS / (_GUESS_SPACING * pixels)) ** 2, 4.0), random)
-    column, row = column[~goes_on[row, column]], row[~goes_on[row, column]]
+    guessed = ~goes_on if doubt == 0 else ~goes_on & _inside_border(view)
+    column, row = column[guessed[row, column]], row[guessed[row, column]]
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
     inverse = filled[row, column] * np.exp(scatter * random.standard_normal(len(row)))
     if view_depths.swept is not None and inverse_depths.any():
