@@ -23,7 +23,7 @@ def meadow(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Meadow]:
 
     def make(sky: str) -> Meadow:
         if sky not in made:
-            folder = write_meadow(sky, tmp_path_factory.mktemp("meadow") / sky, cameras(SIZE, 110)[VIEWS], frames=2)
+            folder = write_meadow(sky, tmp_path_factory.mktemp("meadow") / sky, cameras(SIZE, 110)[VIEWS], frames=1)
             ingest = Ingest(open_rig(folder))
             depths = [np.load(folder / f"truth/depth/{view.camera.name}.npy") for view in ingest.views]
             points = np.concatenate([_points(*each)[::7] for each in zip(ingest.views, depths, strict=True)])
