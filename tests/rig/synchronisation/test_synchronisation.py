@@ -6,6 +6,7 @@ import json
 import math
 import re
 from fractions import Fraction
+from itertools import combinations
 from pathlib import Path
 
 import cv2
@@ -23,7 +24,7 @@ from decogs.rig.synchronisation.commands import sync_main
 from decogs.rig.synchronisation.drift import Ends
 from decogs.rig.synchronisation.joint import StartEstimate
 from decogs.rig.synchronisation.motion import starts_by_motion
-from decogs.rig.synchronisation.sound import starts_by_sound
+from decogs.rig.synchronisation.sound import _joint, _Pair, starts_by_sound
 from decogs.rig.synchronisation.starts import frames_late, is_reliable, merge_estimates, snap_to_trigger
 from videos_with_sound import claps, write_video
 
@@ -204,6 +205,19 @@ def test_sound_tells_fractions_with_its_way_to_each_camera_taken_off() -> None:
     assert (found.starts - found.starts[0])[heard] == pytest.approx((starts - starts[0])[heard], abs=0.002)
     near, late = starts_by_sound(cameras, sounds, None).starts[8], found.starts[8]
     assert abs((late - found.starts[0]) - (near - starts_by_sound(cameras, sounds, None).starts[0])) > 0.008
+
+
+def test_a_sound_that_one_microphone_alone_heard_at_another_moment_moves_nobody() -> None:
+    """Seconds apart, cameras are tied by the pairs that stand out most; a pair that contradicts them has no say."""
+    late = [0.0, 1.5, -2.0, 0.7, -1.1]
+    pairs = [_Pair(a, b, late[b] - late[a], 30.0) for a, b in combinations(range(5), 2) if (a, b) != (0, 4)]
+    starts, errors, votes = _joint(6, [_Pair(0, 4, 1.1, 9.0), *pairs])
+    # The pair that is 2.2 s off still weighs a millionth of the others.
+    assert starts[:5] - starts[0] == pytest.approx(late, abs=1e-4)
+    assert np.isnan([starts[5], errors[5]]).all()
+    assert votes.tolist() == [0.75, 1, 1, 1, 0.75, 0]
+    # Root mean square of what its pairs are off by, 10 ms at most each.
+    assert errors[:5] == pytest.approx([0.005, 0, 0, 0, 0.005], abs=1e-4)
 
 
 def test_sound_goes_before_motion_and_what_they_differ_by_is_said(tmp_path: Path) -> None:
