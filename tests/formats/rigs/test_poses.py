@@ -44,7 +44,7 @@ def test_the_nearest_rotation_is_that_of_the_singular_value_decomposition() -> N
 
 
 def test_a_quaternion_of_any_norm_is_its_rotation() -> None:
-    """A third of a turn about the diagonal: x goes to y, y to z. Files round quaternions, and some are not of norm 1."""
+    """A third of a turn about the diagonal: x goes to y, y to z. Not all files have quaternions of norm 1."""
     for factor in (1.0, 0.02, -30.0):
         pose = quaternion_pose([0.5 * factor] * 4, [1, 2, 3], "here")
         np.testing.assert_allclose(pose[:3], [[0, 0, 1, 1], [1, 0, 0, 2], [0, 1, 0, 3]], rtol=0, atol=2e-15)
