@@ -263,8 +263,10 @@ def test_timecode_goes_first_unless_an_editor_wrote_it(tmp_path: Path) -> None:
     assert [(camera.offset, camera.method) for camera in found.cameras] == [(start, "timecode") for start in STARTS]
     for camera, pictures in zip(cameras, clips, strict=True):
         write_video(folder / f"{camera.name}.mp4", pictures, timecode="01:00:00:00")
-    found = find_starts(open_recordings(folder))
+    steps: list[tuple[int, int]] = []
+    found = find_starts(open_recordings(folder), on_step=lambda *done: steps.append(done))
     assert [(camera.offset, camera.method) for camera in found.cameras] == [(start, "motion") for start in STARTS]
+    assert steps == [(done, 2 * CAMERAS) for done in range(1, 2 * CAMERAS + 1)], "each is heard, then looked at"
 
 
 def test_starts_that_pairs_contradict_or_that_may_be_a_frame_off_are_not_believed() -> None:
@@ -284,6 +286,17 @@ def test_ways_are_tied_by_the_cameras_that_both_know() -> None:
     apart = StartEstimate(np.array([nan, nan, 4.0, 9.0]), np.array([nan, nan, 0.2, 0.2]), np.array([0.0, 0, 1, 1]))
     alone = merge_estimates(["a", "b", "c", "d"], Fraction(30), [("audio", sound), ("motion", apart)])
     assert [camera.offset for camera in alone.cameras] == [0.0, 2.0, None, None], "nothing ties the two clocks"
+
+
+@pytest.mark.parametrize(("apart", "named"), [(-2.0, ["c"]), (-1.0, []), (1.0, []), (2.0, ["c"])])
+def test_two_ways_contradict_each_other_from_a_frame_and_a_half(apart: float, named: list[str]) -> None:
+    errors, votes = np.full(4, 0.1), np.ones(4)
+    heard = StartEstimate(np.array([0.0, 3.0, 5.0, 1.0]), errors, votes)
+    moved = StartEstimate(heard.starts + 7 + [0, 0, apart, 0], errors, votes)
+    together = merge_estimates(["a", "b", "c", "d"], Fraction(30), [("audio", heard), ("motion", moved)])
+    assert [warning.split(":")[0].removeprefix("camera ") for warning in together.warnings] == named
+    assert all(f"starts {-apart:+.1f} frames from where it does by its motion" in each for each in together.warnings)
+    assert [camera.offset for camera in together.cameras] == [0.0, 3.0, 5.0, 1.0], "the former is taken"
 
 
 def test_the_command_writes_a_rig_that_is_read_in_step(
