@@ -105,6 +105,15 @@ def test_a_wall_that_stands_near_is_no_sky(meadow: Callable[[str], Meadow]) -> N
     assert find_open_air(ingest.views, RigFrame(0, pictures, []), points) is None
 
 
+def test_what_looks_different_from_every_side_is_no_sky(meadow: Callable[[str], Meadow]) -> None:
+    """However far away: every second camera sees it 10 levels darker than its neighbours do."""
+    ingest, frame, depths, points = meadow("clear")
+    pictures = []
+    for number, (picture, depth) in enumerate(zip(frame.training, depths, strict=True)):
+        pictures.append(np.where(np.isinf(depth), picture - 0.04 * (number % 2), picture).astype(np.float32))
+    assert find_open_air(ingest.views, RigFrame(0, pictures, []), points) is None
+
+
 def test_a_later_frame_s_subject_stands_before_the_sky(meadow: Callable[[str], Meadow]) -> None:
     ingest, frame, _, points = meadow("clear")
     air = find_open_air(ingest.views, frame, points)
