@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -86,21 +87,35 @@ def make(settings: EncodeSettings) -> Callable[..., Any]:
     return run
 
 
+@pytest.fixture(scope="module")
+def whole(
+    take: Take, make: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str, int], tuple[Path, Any]]:
+    """``whole("AABB", segment)``: the stream of that take in one go, and its report; no test may write to it."""
+
+    @cache
+    def encoded(shown: str, segment: int) -> tuple[Path, Any]:
+        output = tmp_path_factory.mktemp("whole") / "scene.dgs"
+        return output, make(take(shown), output, segment=segment)
+
+    return encoded
+
+
 def states(path: Path) -> list[State]:
     with open_stream(path) as stream:
         assert stream.complete
         return [frame.state for frame in stream.frames()]
 
 
-@pytest.mark.parametrize("shown", ["AAABBBBB", "AABBBBB"])
+@pytest.mark.parametrize("shown", ["AAABBBB", "AABBBB"])
 def test_segments_after_a_cut_start_from_its_keyframe(
-    take: Take, make: Callable[..., Any], tmp_path: Path, shown: str
+    whole: Callable[[str, int], tuple[Path, Any]], shown: str
 ) -> None:
     """A cut within a segment, or at a start. What stays has the same Gaussians in all of them."""
-    report = make(take(shown), tmp_path / "scene.dgs")
+    path, report = whole(shown, SEGMENT)
     cut = shown.index("B")
     assert [frame.frame for frame in report.frames if frame.cut] == [cut]
-    key, *later = states(tmp_path / "scene.dgs")[cut:]
+    key, *later = states(path)[cut:]
     for state in later:
         assert np.isin(key.ids, state.ids).mean() > 0.9
         assert np.isin(key.hashes, state.hashes).any(), "those that nothing changes"
@@ -110,18 +125,23 @@ def test_segments_after_a_cut_start_from_its_keyframe(
     ("shown", "segment"), [("AAABBBB", 2), ("ABBB", 1), pytest.param("ABABABA", 3, marks=pytest.mark.slow)]
 )
 def test_parts_of_a_take_with_cuts_are_the_encode_in_one_go(
-    take: Take, make: Callable[..., Any], tmp_path: Path, shown: str, segment: int
+    take: Take,
+    make: Callable[..., Any],
+    whole: Callable[[str, int], tuple[Path, Any]],
+    tmp_path: Path,
+    shown: str,
+    segment: int,
 ) -> None:
     """Each segment is a part of its own, made from the first one; the fade before a start looks ahead over a cut."""
     rig, frames = take(shown), len(shown)
-    make(rig, tmp_path / "whole.dgs", segment=segment)
+    in_one_go, _ = whole(shown, segment)
     made = [tmp_path / "0.dgs"]
     make(rig, made[0], (0, segment), segment=segment)
     for start in range(segment, frames, segment):
         made.append(tmp_path / f"{start}.dgs")
         make(rig, made[-1], (start, min(start + segment, frames)), segment=segment, keyframe=made[0])
     join(made, tmp_path / "joined.dgs")
-    assert (tmp_path / "joined.dgs").read_bytes() == (tmp_path / "whole.dgs").read_bytes()
+    assert (tmp_path / "joined.dgs").read_bytes() == in_one_go.read_bytes()
 
 
 @pytest.mark.parametrize("shown", ["AAABBB", pytest.param("AABBAAB", marks=pytest.mark.slow)])

@@ -55,7 +55,16 @@ def settings(tiny_settings: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def whole(rig: Path, settings: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    output = tmp_path_factory.mktemp("whole") / "scene.dgs"
+    return encode_whole(rig, settings, tmp_path_factory.mktemp("whole") / "scene.dgs")
+
+
+@pytest.fixture(scope="module")
+def short_whole(rig: Path, tiny_settings: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """With settings for where nothing is killed."""
+    return encode_whole(rig, tiny_settings, tmp_path_factory.mktemp("short") / "scene.dgs")
+
+
+def encode_whole(rig: Path, settings: Any, output: Path) -> bytes:
     encode(rig, output, settings, segment=SEGMENT, closed=True, threads=1)
     return output.read_bytes()
 
@@ -75,7 +84,7 @@ def nodes() -> Iterator[Any]:
 
 @pytest.fixture
 def run(rig: Path, settings: Any, tmp_path: Path) -> Callable[..., bytes]:
-    def run(cluster: str, *, progress: Any = None, **options: Any) -> bytes:
+    def run(cluster: str, *, settings: Any = settings, progress: Any = None, **options: Any) -> bytes:
         output = tmp_path / "scene.dgs"
         job = EncodeJob(rig, output, settings, segment=SEGMENT, closed=True, **options)
         encode_on_cluster(job, cluster, progress=progress)
@@ -151,7 +160,7 @@ def test_ctrl_c_leaves_what_is_done(nodes: Any, run: Any, whole: bytes, tmp_path
     assert all(kept)
 
 
-def test_from_a_machine_outside_the_cluster(run: Any, whole: bytes) -> None:
+def test_from_a_machine_outside_the_cluster(run: Any, tiny_settings: Any, short_whole: bytes) -> None:
     """Through Ray's client server, as ray:// addresses one."""
     pytest.importorskip("ray", reason="ray is not installed")
     pytest.importorskip("grpc", reason="ray's client is not installed: ray[client]")
@@ -161,14 +170,14 @@ def test_from_a_machine_outside_the_cluster(run: Any, whole: bytes) -> None:
         port = free.getsockname()[1]
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "ray_client_server_port": port})
     try:
-        assert run(f"ray://127.0.0.1:{port}") == whole
+        assert run(f"ray://127.0.0.1:{port}", settings=tiny_settings) == short_whole
     finally:
         cluster.shutdown()
 
 
-def test_one_machine_is_a_cluster_too(run: Any, whole: bytes) -> None:
+def test_one_machine_is_a_cluster_too(run: Any, tiny_settings: Any, short_whole: bytes) -> None:
     pytest.importorskip("ray", reason="ray is not installed")
-    assert run("local") == whole
+    assert run("local", settings=tiny_settings) == short_whole
 
 
 def test_a_problem_that_stays_is_told_in_one_line(nodes: Any, rig: Path, settings: Any, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shlex
+import shutil
 import sys
 import wave
 from collections.abc import Callable
@@ -75,39 +76,58 @@ def python_of(document: Path) -> list[str]:
     return re.findall(r"```python\n(.*?)```", document.read_text(), re.DOTALL)
 
 
-@pytest.fixture
-def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a rig, a stream of it and a free camera, under the names of the documents; presets are short."""
-    tiny_rig.write(tmp_path / "rig_dir", frames=[0, 1, 3])
-    calibration = json.loads(Path(tmp_path / "rig_dir" / "rig.json").read_text())
-    (tmp_path / "rig_dir" / "rig.json").write_text(json.dumps(calibration | {"fps": 30}))
-    write_masks(tmp_path)
-    live = ['calibration = "rig_dir"', "fps = 30", "late = 0.05", "end = 0.1", "[cameras]"]
-    live += [f'{name} = "rig_dir/{name}/{{:04d}}.png"' for name in tiny_rig.names]
-    (tmp_path / "sources.toml").write_text("\n".join(live))
-    write_board_videos(tmp_path / "videos_dir")
-    (tmp_path / "lens_dir").symlink_to(tmp_path / "videos_dir")
-    write_phone_videos(tmp_path / "phones")
-    with wave.open(str(tmp_path / "mix.wav"), "wb") as mix:
-        mix.setparams((2, 2, 48_000, 48_000, "NONE", ""))
-        mix.writeframes(np.random.default_rng(0).integers(-9000, 9000, 96_000).astype("<i2").tobytes())
-    short = replace(
+@pytest.fixture(scope="module")
+def short(tiny_settings: EncodeSettings) -> EncodeSettings:
+    return replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),
         frame=replace(tiny_settings.frame, significance=SignificanceSettings(threshold=6.5)),
     )
+
+
+@pytest.fixture(scope="module")
+def shown(tiny_rig: Any, short: EncodeSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a rig, a stream of it and a free camera, under the names of the documents; no test changes it."""
+    folder = tmp_path_factory.mktemp("documents") / "shown"
+    tiny_rig.write(folder / "rig_dir", frames=[0, 1, 3])
+    calibration = json.loads(Path(folder / "rig_dir" / "rig.json").read_text())
+    (folder / "rig_dir" / "rig.json").write_text(json.dumps(calibration | {"fps": 30}))
+    write_masks(folder)
+    live = ['calibration = "rig_dir"', "fps = 30", "late = 0.05", "end = 0.1", "[cameras]"]
+    live += [f'{name} = "rig_dir/{name}/{{:04d}}.png"' for name in tiny_rig.names]
+    (folder / "sources.toml").write_text("\n".join(live))
+    write_board_videos(folder / "videos_dir")
+    (folder / "lens_dir").symlink_to("videos_dir")
+    write_phone_videos(folder / "phones")
+    with wave.open(str(folder / "mix.wav"), "wb") as mix:
+        mix.setparams((2, 2, 48_000, 48_000, "NONE", ""))
+        mix.writeframes(np.random.default_rng(0).integers(-9000, 9000, 96_000).astype("<i2").tobytes())
+    with pytest.MonkeyPatch.context() as patched:
+        patch_presets(short, patched)
+        patched.chdir(folder)
+        assert encode_main(["rig_dir", "-o", "scene.dgs", "--effects", "motion"]) == 0
+    for document, names in (("cameras.md", ["pose.json", "bullet.json"]), ("edit.md", ["edits.toml"])):
+        texts = re.findall(r"```(?:json|toml)\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
+        for name, text in zip(names, texts, strict=True):
+            (folder / name).write_text(text)
+    return folder
+
+
+@pytest.fixture
+def at_the_rig(shown: Path, short: EncodeSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of that folder, where commands run; presets are short."""
     # Nobody looks: the address is asked for once, and the command goes on as if it had been interrupted.
     monkeypatch.setattr(notebook, "open_browser", lambda url: True)
     monkeypatch.setattr(View, "wait", look_once)
+    patch_presets(short, monkeypatch)
+    folder = Path(shutil.copytree(shown, tmp_path / "here", symlinks=True))
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def patch_presets(short: EncodeSettings, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PRESETS:
         monkeypatch.setitem(PRESETS, name, short)
-    monkeypatch.chdir(tmp_path)
-    assert encode_main(["rig_dir", "-o", "scene.dgs", "--effects", "motion"]) == 0
-    for document, names in (("cameras.md", ["pose.json", "bullet.json"]), ("edit.md", ["edits.toml"])):
-        shown = re.findall(r"```(?:json|toml)\n(.*?)```", (ROOT / "docs" / document).read_text(), re.DOTALL)
-        for name, text in zip(names, shown, strict=True):
-            Path(name).write_text(text)
-    return tmp_path
 
 
 def write_masks(folder: Path) -> None:

@@ -12,6 +12,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -190,18 +191,20 @@ def render(
         nearest[rays[closer]], owner[rays[closer]] = depth[closer], index
     image = look(unit(ways), frame)
     lamp = [Lamp((300 * SUN).astype(np.float32), -SUN, np.full(3, sun * 300.0**2, np.float32))] if sun else []
-    for index in range(-1, len(bodies)):
-        rays = np.flatnonzero(owner == index)
-        if not len(rays):
-            continue
-        points = origin + nearest[rays] * ways[:, rays]
+    order = np.argsort(owner, kind="stable")[np.count_nonzero(owner == -2) :]
+    points = origin + nearest[order] * ways[:, order]
+    normals, colours = np.empty_like(points), np.empty_like(points)
+    ends = np.searchsorted(owner[order], np.arange(-1, len(bodies) + 1))
+    for index, (first, stop) in enumerate(pairwise(ends), start=-1):
+        met = points[:, first:stop]
         if index < 0:
-            normals, colours = np.tile(np.array([[0], [0], [1]], np.float32), len(rays)), GRASS.colours(points)
-        else:
+            normals[:, first:stop], colours[:, first:stop] = [[0], [0], [1]], GRASS.colours(met)
+        elif first < stop:
             body = bodies[index]
-            normals, colours = body.normals(points), body.paint.colours(body.own(points) + 0.8 * index)
-        lit = light(points, normals, lamp, bodies) if lamp else np.zeros_like(points)
-        image[:, rays] = colours * (lit + ambient * (0.6 + 0.4 * normals[2]) * _column(0.95, 1.0, 1.08))
+            normals[:, first:stop] = body.normals(met)
+            colours[:, first:stop] = body.paint.colours(body.own(met) + 0.8 * index)
+    lit = light(points, normals, lamp, bodies)
+    image[:, order] = colours * (lit + ambient * (0.6 + 0.4 * normals[2]) * _column(0.95, 1.0, 1.08))
     grid = image.reshape(3, camera.height, GRID, camera.width, GRID)
     return grid.mean((2, 4)).transpose(1, 2, 0), nearest.reshape(shape)[::GRID, ::GRID]
 

@@ -73,9 +73,42 @@ def render(
     view: View, acting: Sequence[Body], backdrop: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Linear RGB (H, W, 3) and matte (H, W) of what moves. Only who acts throws shadows, the stage's props do not."""
-    bodies = [*acting, *view.stage.props]
-    lit = cv2.remap(backdrop, *view.place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    image = view.albedo * lit.reshape(-1, 3).T
+    (made,) = render_all([view], acting, backdrop)
+    return made
+
+
+def render_all(
+    views: Sequence[View], acting: Sequence[Body], backdrop: NDArray[np.float32]
+) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """``render`` of each view, lit in one go: that takes half as long as view by view."""
+    cloths = [_cloth(view, [*acting, *view.stage.props]) for view in views]
+    lights = light(
+        *(np.concatenate([getattr(c, of) for c in cloths], axis=1) for of in ("points", "normals")),
+        scenes.LAMPS,
+        acting,
+    )
+    ends = np.cumsum([len(cloth.seen) for cloth in cloths])[:-1]
+    return [
+        _finished(view, cloth, lit, backdrop)
+        for view, cloth, lit in zip(views, cloths, np.split(lights, ends, axis=1), strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Cloth:
+    """What a view's rays meet of the bodies: which rays (N,), points, normals and colours (3, N).
+
+    ``moving``: of all rays, whether they meet what moves.
+    """
+
+    seen: NDArray[np.intp]
+    points: Array
+    normals: Array
+    colours: Array
+    moving: NDArray[np.bool_]
+
+
+def _cloth(view: View, bodies: Sequence[Body]) -> _Cloth:
     nearest, owner = first_met(view, bodies)
     seen = np.argsort(owner, kind="stable")[np.count_nonzero(owner < 0) :]
     points = view.origin + nearest[seen] * view.ways[:, seen]
@@ -85,10 +118,17 @@ def render(
         normals[:, first:stop] = body.normals(points[:, first:stop])
         # Each body has a cloth of its own: a left leg must not match a right one.
         colours[:, first:stop] = body.paint.colours(body.own(points[:, first:stop]) + 0.8 * index)
-    reflected = np.asarray(view.stage.bounce, np.float32)[:, None] * (0.5 - 0.4 * normals[2])
-    image[:, seen] = colours * (light(points, normals, scenes.LAMPS, acting) + reflected)
-    moving = np.array([*(body.moves for body in bodies), False])[owner]
-    return _pixels(image, view), _pixels(moving[None], view)[..., 0]
+    return _Cloth(seen, points, normals, colours, np.array([*(body.moves for body in bodies), False])[owner])
+
+
+def _finished(
+    view: View, cloth: _Cloth, lit: Array, backdrop: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    around = cv2.remap(backdrop, *view.place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    image = view.albedo * around.reshape(-1, 3).T
+    reflected = np.asarray(view.stage.bounce, np.float32)[:, None] * (0.5 - 0.4 * cloth.normals[2])
+    image[:, cloth.seen] = cloth.colours * (lit + reflected)
+    return _pixels(image, view), _pixels(cloth.moving[None], view)[..., 0]
 
 
 def first_met(view: View, bodies: Sequence[Body]) -> tuple[Array, NDArray[np.int32]]:
@@ -143,8 +183,8 @@ def write_stage(
     for frame in range(frames):
         acting = [] if is_empty else scenes.on_stage(frame, stage.clothes)
         backdrop = light_on_backdrop(stage, acting, views[0].height)
-        for index, view in enumerate(looking):
-            image, matte = render(view, acting, backdrop)
+        rendered = render_all(looking, acting, backdrop)
+        for index, (view, (image, matte)) in enumerate(zip(looking, rendered, strict=True)):
             picture = coded(image * np.float32(gains[index]), np.random.default_rng((seed, index, frame)))
             _write(folder / view.camera.name / f"{frame:04d}.png", picture[..., ::-1])
             _write(folder / "truth/mattes" / view.camera.name / f"{frame:04d}.png", np.rint(255 * matte))

@@ -180,6 +180,17 @@ def test_a_hold_is_silent(sounding: Path, tmp_path: Path) -> None:
     assert np.abs(now[:, frame_start(16, FPS) :]).max() > 0.3
 
 
+def test_a_frame_a_second_is_just_enough_for_sound(sounding: Path, segmented_stream, tmp_path: Path, capsys) -> None:
+    decode_sound(sounding, tmp_path / "mix.wav")
+    slow, slower = tmp_path / "slow.dgs", tmp_path / "slower.dgs"
+    assert edit_main([str(segmented_stream.path), "-o", str(slow), "retime", "--fps", "1"]) == 0
+    assert edit_main([str(segmented_stream.path), "-o", str(slower), "retime", "--fps", "0.99"]) == 0
+    capsys.readouterr()
+    assert edit_main([str(slow), "-o", str(tmp_path / "out.dgs"), "audio", str(tmp_path / "mix.wav")]) == 0
+    assert edit_main([str(slower), "-o", str(tmp_path / "no.dgs"), "audio", str(tmp_path / "mix.wav")]) == 2
+    assert "needs a frame rate of at least 1 " in capsys.readouterr().err
+
+
 def test_what_cannot_be_is_one_line(sounding: Path, segmented_stream, tmp_path: Path, capsys) -> None:
     (tmp_path / "noise.wav").write_bytes(b"not a sound" * 100)
     plain = str(segmented_stream.path)

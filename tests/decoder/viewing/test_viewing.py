@@ -234,6 +234,17 @@ def test_requests_that_are_none_are_answered(served: StreamServer, place: str, l
     assert answer.count(b"HTTP/1.1 ") == 1
 
 
+@pytest.mark.parametrize(("headers", "answers"), [("", 2), ("Transfer-Encoding: chunked\r\n", 1)])
+def test_a_connection_stays_open_but_after_a_body(served: StreamServer, headers: str, answers: int) -> None:
+    """A body of no stated length is never taken for another request; without one, the next request is answered."""
+    requests = [f"HEAD / HTTP/1.1\r\nHost: localhost\r\n{more}\r\n" for more in (headers, "Connection: close\r\n")]
+    host = urlsplit(served.url)
+    with socket.create_connection((host.hostname, host.port), timeout=10) as connection:
+        connection.sendall("".join(requests).encode())
+        connection.shutdown(socket.SHUT_WR)
+        assert b"".join(iter(lambda: connection.recv(1 << 16), b"")).count(b"HTTP/1.1 200 ") == answers
+
+
 def test_only_this_machine_is_listened_to(served: StreamServer) -> None:
     assert served.url.startswith("http://127.0.0.1:")
     with pytest.raises(OSError, match="refused"):

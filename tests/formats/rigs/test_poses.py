@@ -9,7 +9,7 @@ import sys
 import numpy as np
 
 from decogs.formats.cameras import turned
-from decogs.formats.rigs.calibration import rigid_pose
+from decogs.formats.rigs.calibration import quaternion_pose, rigid_pose
 
 BITS = """
 import numpy as np
@@ -41,6 +41,13 @@ def test_the_nearest_rotation_is_that_of_the_singular_value_decomposition() -> N
         np.testing.assert_allclose(rotation, left @ right, rtol=0, atol=1e-14)
         # A handful of roundings of numbers near 1.
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=2e-15)
+
+
+def test_a_quaternion_of_any_norm_is_its_rotation() -> None:
+    """A third of a turn about the diagonal: x goes to y, y to z. Not all files have quaternions of norm 1."""
+    for factor in (1.0, 0.02, -30.0):
+        pose = quaternion_pose([0.5 * factor] * 4, [1, 2, 3], "here")
+        np.testing.assert_allclose(pose[:3], [[0, 0, 1, 1], [1, 0, 0, 2], [0, 1, 0, 3]], rtol=0, atol=2e-15)
 
 
 def test_turned_is_the_product_with_the_matrix() -> None:

@@ -119,3 +119,8 @@ def test_the_page_shows_every_camera_twice_and_what_is_not_connected(tmp_path: P
     assert "<td>cam1 (12)</td>" in page
     assert "<td>cam2 (30), cam3 (20), cam0 (12)</td>" in page
     assert "cam&lt;9&gt;: sees nothing" in page
+    green, orange = page.count("#2e7d32"), page.count("#b26a00")
+    assert green > 0 == orange
+    doubted = page_of(replace(found, doubts={"cam1": "sees little"}), "rig")
+    assert (doubted.count("#2e7d32"), doubted.count("#b26a00")) == (green * 3 // 4, green // 4)
+    assert "cam1: sees little" in doubted

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +47,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 
 @pytest.fixture(scope="module")
-def grey(made: Callable[[str], Path]) -> Analysis:
-    return analyse(made("grey"))
+def analysed(made: Callable[[str], Path]) -> Callable[[str], Analysis]:
+    return cache(lambda name: analyse(made(name)))
+
+
+@pytest.fixture(scope="module")
+def grey(analysed: Callable[[str], Analysis]) -> Analysis:
+    return analysed("grey")
 
 
 def mismatch_of(analysis: Analysis) -> Any:
@@ -55,19 +61,18 @@ def mismatch_of(analysis: Analysis) -> Any:
 
 
 @pytest.mark.parametrize("name", ["grey", "floor"])
-def test_cameras_alike_are_not_told_apart(made: Callable[[str], Path], name: str) -> None:
+def test_cameras_alike_are_not_told_apart(analysed: Callable[[str], Analysis], name: str) -> None:
     """On the floor of tiles matches are wrong by a tile, where the light is another."""
-    assert not mismatch_of(analyse(made(name))).decision.detected
+    assert not mismatch_of(analysed(name)).decision.detected
 
 
-def test_the_backdrop_tells_the_gains_of_cameras(made: Callable[[str], Path]) -> None:
-    folder = made("exposure")
-    found = analyse(folder).stats.mismatch.gains
+def test_the_backdrop_tells_the_gains_of_cameras(analysed: Callable[[str], Analysis]) -> None:
+    found = analysed("exposure").stats.mismatch.gains
     true = np.log(1 + 0.08 * np.random.default_rng(0).uniform(-1, 1, len(VIEWS)))
     # Half a per cent: 1.2 levels of noise in windows of 25 pixels, the median of hundreds; the surfaces' own errors.
     np.testing.assert_allclose(found[:, 0], true - np.median(true), atol=0.006)
     np.testing.assert_allclose(found[:, 1:], 0, atol=0.006)
-    assert mismatch_of(analyse(folder)).decision.detected
+    assert mismatch_of(analysed("exposure")).decision.detected
 
 
 def test_a_stage_is_told_as_it_is(grey: Analysis, made: Callable[[str], Path]) -> None:
@@ -87,8 +92,8 @@ def test_a_stage_is_told_as_it_is(grey: Analysis, made: Callable[[str], Path]) -
     assert 0.3 < stage.shadow < 0.8
 
 
-def test_a_room_with_plain_walls_is_told_as_it_is(made: Callable[[str], Path], grey: Analysis) -> None:
-    analysis = analyse(made("floor"))
+def test_a_room_with_plain_walls_is_told_as_it_is(analysed: Callable[[str], Analysis], grey: Analysis) -> None:
+    analysis = analysed("floor")
     room = analysis.stage
     assert isinstance(room, RoomCheck)
     heights = [camera_centre(camera)[2] for camera in VIEWS]
@@ -105,9 +110,9 @@ def test_a_room_with_plain_walls_is_told_as_it_is(made: Callable[[str], Path], g
 
 @pytest.mark.parametrize(("name", "is_clean"), [("green", True), ("worn", False)])
 def test_a_key_is_clean_unless_the_screen_s_colour_is_worn(
-    made: Callable[[str], Path], name: str, is_clean: bool
+    analysed: Callable[[str], Analysis], name: str, is_clean: bool
 ) -> None:
-    stage = analyse(made(name)).stage
+    stage = analysed(name).stage
     assert isinstance(stage, StageCheck)
     assert stage.key is not None
     assert stage.key.is_clean == is_clean

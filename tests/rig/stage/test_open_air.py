@@ -23,7 +23,7 @@ def meadow(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Meadow]:
 
     def make(sky: str) -> Meadow:
         if sky not in made:
-            folder = write_meadow(sky, tmp_path_factory.mktemp("meadow") / sky, cameras(SIZE, 110)[VIEWS], frames=2)
+            folder = write_meadow(sky, tmp_path_factory.mktemp("meadow") / sky, cameras(SIZE, 110)[VIEWS], frames=1)
             ingest = Ingest(open_rig(folder))
             depths = [np.load(folder / f"truth/depth/{view.camera.name}.npy") for view in ingest.views]
             points = np.concatenate([_points(*each)[::7] for each in zip(ingest.views, depths, strict=True)])
@@ -102,6 +102,15 @@ def test_a_wall_that_stands_near_is_no_sky(meadow: Callable[[str], Meadow]) -> N
         height = centre[2] + (12 - centre[1]) / np.maximum(ways[:, 1], 0.05) * ways[:, 2]
         wall[:, rows, columns] = 0.95 - 0.03 * np.clip(height, 0, 15) * np.array([[1.0], [0.8], [0.4]])
         pictures.append(wall.astype(np.float32))
+    assert find_open_air(ingest.views, RigFrame(0, pictures, []), points) is None
+
+
+def test_what_looks_different_from_every_side_is_no_sky(meadow: Callable[[str], Meadow]) -> None:
+    """However far away: every second camera sees it 10 levels darker than its neighbours do."""
+    ingest, frame, depths, points = meadow("clear")
+    pictures = []
+    for number, (picture, depth) in enumerate(zip(frame.training, depths, strict=True)):
+        pictures.append(np.where(np.isinf(depth), picture - 0.04 * (number % 2), picture).astype(np.float32))
     assert find_open_air(ingest.views, RigFrame(0, pictures, []), points) is None
 
 

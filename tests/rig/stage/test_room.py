@@ -44,7 +44,8 @@ def test_a_point_is_plain_where_more_than_a_third_of_its_views_show_it_so() -> N
 
 def test_points_that_no_view_shows_are_as_the_nearest_that_one_does() -> None:
     xyz, normals = wall()
-    np.testing.assert_array_equal(plain_points([view(0)], xyz, normals), xyz[:, 0] < 0)
+    for across in (0.0, 1.0):
+        np.testing.assert_array_equal(plain_points([view(0, across)], xyz, normals), xyz[:, 0] < 0)
     assert plain_points([view(0)], xyz, -normals).all(), "no view says anything else of what faces away"
 
 

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from fractions import Fraction
+from itertools import combinations
 from pathlib import Path
 
 import cv2
@@ -23,7 +24,7 @@ from decogs.rig.synchronisation.commands import sync_main
 from decogs.rig.synchronisation.drift import Ends
 from decogs.rig.synchronisation.joint import StartEstimate
 from decogs.rig.synchronisation.motion import starts_by_motion
-from decogs.rig.synchronisation.sound import starts_by_sound
+from decogs.rig.synchronisation.sound import _joint, _Pair, starts_by_sound
 from decogs.rig.synchronisation.starts import frames_late, is_reliable, merge_estimates, snap_to_trigger
 from videos_with_sound import claps, write_video
 
@@ -206,6 +207,19 @@ def test_sound_tells_fractions_with_its_way_to_each_camera_taken_off() -> None:
     assert abs((late - found.starts[0]) - (near - starts_by_sound(cameras, sounds, None).starts[0])) > 0.008
 
 
+def test_a_sound_that_one_microphone_alone_heard_at_another_moment_moves_nobody() -> None:
+    """Seconds apart, cameras are tied by the pairs that stand out most; a pair that contradicts them has no say."""
+    late = [0.0, 1.5, -2.0, 0.7, -1.1]
+    pairs = [_Pair(a, b, late[b] - late[a], 30.0) for a, b in combinations(range(5), 2) if (a, b) != (0, 4)]
+    starts, errors, votes = _joint(6, [_Pair(0, 4, 1.1, 9.0), *pairs])
+    # The pair that is 2.2 s off still weighs a millionth of the others.
+    assert starts[:5] - starts[0] == pytest.approx(late, abs=1e-4)
+    assert np.isnan([starts[5], errors[5]]).all()
+    assert votes.tolist() == [0.75, 1, 1, 1, 0.75, 0]
+    # Root mean square of what its pairs are off by, 10 ms at most each.
+    assert errors[:5] == pytest.approx([0.005, 0, 0, 0, 0.005], abs=1e-4)
+
+
 def test_sound_goes_before_motion_and_what_they_differ_by_is_said(tmp_path: Path) -> None:
     cameras = ring()
     folder = write_rig(tmp_path, [clip(camera, start) for camera, start in zip(cameras, STARTS, strict=True)])
@@ -249,8 +263,10 @@ def test_timecode_goes_first_unless_an_editor_wrote_it(tmp_path: Path) -> None:
     assert [(camera.offset, camera.method) for camera in found.cameras] == [(start, "timecode") for start in STARTS]
     for camera, pictures in zip(cameras, clips, strict=True):
         write_video(folder / f"{camera.name}.mp4", pictures, timecode="01:00:00:00")
-    found = find_starts(open_recordings(folder))
+    steps: list[tuple[int, int]] = []
+    found = find_starts(open_recordings(folder), on_step=lambda *done: steps.append(done))
     assert [(camera.offset, camera.method) for camera in found.cameras] == [(start, "motion") for start in STARTS]
+    assert steps == [(done, 2 * CAMERAS) for done in range(1, 2 * CAMERAS + 1)], "each is heard, then looked at"
 
 
 def test_starts_that_pairs_contradict_or_that_may_be_a_frame_off_are_not_believed() -> None:
@@ -270,6 +286,17 @@ def test_ways_are_tied_by_the_cameras_that_both_know() -> None:
     apart = StartEstimate(np.array([nan, nan, 4.0, 9.0]), np.array([nan, nan, 0.2, 0.2]), np.array([0.0, 0, 1, 1]))
     alone = merge_estimates(["a", "b", "c", "d"], Fraction(30), [("audio", sound), ("motion", apart)])
     assert [camera.offset for camera in alone.cameras] == [0.0, 2.0, None, None], "nothing ties the two clocks"
+
+
+@pytest.mark.parametrize(("apart", "named"), [(-2.0, ["c"]), (-1.0, []), (1.0, []), (2.0, ["c"])])
+def test_two_ways_contradict_each_other_from_a_frame_and_a_half(apart: float, named: list[str]) -> None:
+    errors, votes = np.full(4, 0.1), np.ones(4)
+    heard = StartEstimate(np.array([0.0, 3.0, 5.0, 1.0]), errors, votes)
+    moved = StartEstimate(heard.starts + 7 + [0, 0, apart, 0], errors, votes)
+    together = merge_estimates(["a", "b", "c", "d"], Fraction(30), [("audio", heard), ("motion", moved)])
+    assert [warning.split(":")[0].removeprefix("camera ") for warning in together.warnings] == named
+    assert all(f"starts {-apart:+.1f} frames from where it does by its motion" in each for each in together.warnings)
+    assert [camera.offset for camera in together.cameras] == [0.0, 3.0, 5.0, 1.0], "the former is taken"
 
 
 def test_the_command_writes_a_rig_that_is_read_in_step(
