@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,9 @@ from decogs.encoder.backends.tiles import tiles_with
 from decogs.encoder.change.flashes import changes_most
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.keyframe.first_points import first_points
-from decogs.encoder.keyframe.first_points.cloud import ViewDepths, empty_cloud, join
+from decogs.encoder.keyframe.first_points.cloud import ViewDepths
 from decogs.encoder.keyframe.first_points.frusta import DepthRange
-from decogs.encoder.keyframe.first_points.guesses import fill_empty_cells
+from decogs.encoder.keyframe.first_points.guesses import guess_points, random_in_frustum
 from decogs.encoder.keyframe.first_points.views import make_view
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.cameras import Camera, in_picture, project
@@ -168,19 +169,27 @@ def test_no_first_point_comes_from_what_was_not_recorded(tiny_rig: Any) -> None:
     assert found["recorded"] == 0
 
 
-@pytest.mark.parametrize("confirmed_rows", [4, 40])
-def test_beside_the_middle_a_view_that_confirms_little_guesses_nothing(tiny_rig: Any, confirmed_rows: int) -> None:
-    camera = tiny_rig.camera(0)
+def test_nothing_is_guessed_at_a_border_before_what_others_see(tiny_rig: Any) -> None:
+    """One view confirms nothing but a strip; another sees a wall behind all that the first may guess there."""
     row, column = np.mgrid[: SIZE[0], : SIZE[1]]
     recorded = np.hypot(row - 24, column - 32) < 22
-    view = make_view(camera, np.full((*SIZE, 3), 0.5, np.float32), 1.0, recorded)
-    confirmed = np.where(recorded & (row < confirmed_rows + 4), np.float32(0.3), np.float32(0))
-    depths = ViewDepths(view, DepthRange(2.0, 6.0), confirmed, confirmed, 3.0)
-    guesses = join(fill_empty_cells(depths, empty_cloud(), 2.0, np.random.default_rng(0)))
-    u, v, _ = project(camera, guesses.xyz)
-    beside = np.hypot(v - 24, u - 32) > 17
-    assert len(guesses) > 10
-    assert beside.any() == (confirmed_rows == 40)
+    grey, strip = np.full((*SIZE, 3), 0.5, np.float32), np.where(row < 8, np.float32(1 / 3), np.float32(0))
+    wall = np.where(row > 30, np.float32(1 / 4), np.float32(0))  # it goes on above
+
+    def beside(walls: Sequence[np.ndarray]) -> np.ndarray:
+        views = [make_view(tiny_rig.camera(0), grey, 1.0, recorded), make_view(tiny_rig.camera(1), grey, 1.0)]
+        shown = [
+            ViewDepths(view, DepthRange(2.0, 6.0), None, depths, 0.1) for view, depths in zip(views, walls, strict=True)
+        ]
+        cloud = random_in_frustum(views[0], DepthRange(3.0, 3.1), 5, np.random.default_rng(1))
+        guesses, _ = guess_points(cloud, shown, 2.0, np.random.default_rng(0))
+        u, v, _ = project(views[0].camera, guesses.xyz)
+        _, _, depth = project(views[1].camera, guesses.xyz)
+        own = (np.hypot(v - 24, u - 32) > 18) & (np.hypot(v - 24, u - 32) < 22)
+        return np.asarray(depth[own])
+
+    assert beside([strip * recorded, strip]).min() < 0.8 * 3
+    assert beside([strip * recorded, wall]).min() > 0.79 * 4
 
 
 def _header(camera: Camera) -> Any:

@@ -14,7 +14,7 @@ import pytest
 from decogs.encoder import PRESETS, EncodeSettings
 from encoder_fixtures import encoder_conftest as _tiny
 
-tiny_rig, encode = _tiny.tiny_rig, _tiny.encode
+tiny_rig, encode, shared_data = _tiny.tiny_rig, _tiny.encode, _tiny.shared_data
 
 SETTINGS: EncodeSettings = replace(
     _tiny.TINY,

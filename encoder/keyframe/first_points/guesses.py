@@ -38,9 +38,10 @@ _CONTINUED_SCATTER = 0.003
 """Relative standard deviation of the depth of continued points."""
 _CONTINUED_PER_CELL = 16.0
 """Continued points in a cell, at most."""
-_BORDER_WIDTHS = 0.1
-"""Width of the border of what a lens recorded, in widths of the picture, in which a view that confirms too little
-guesses nothing: rays there lead far to the side, and what is guessed too near on them hangs before other cameras."""
+_BORDER_WIDTHS, _BEFORE_SURFACE = 0.1, 0.8
+"""Width of the border of what a lens recorded, in widths of the picture, where nothing is guessed nearer than such a
+share of the depth at which a surface goes on in some view: rays there lead far to the side, where no other picture of
+the same place contradicts what would hang before a free viewpoint."""
 _MIN_DEPTH_FRACTION = 0.9
 """Share of the nearest confirmed depth of any view that sees it at which a guess must lie at least."""
 
@@ -61,12 +62,17 @@ def guess_points(
             clouds.append(random_in_frustum(view_depths.view, depths, each, random))
         guesses = join(clouds)
         return guesses, np.zeros(len(guesses), np.bool_)
+    has_lenses = any(view_depths.view.recorded is not None for view_depths in all_depths)
+    surfaces = [(each, fill_depths(_known_depths(each, cloud))) for each in all_depths if has_lenses]
     for view_depths in all_depths:
-        surfaces, others = fill_empty_cells(view_depths, join([cloud, *clouds]), pixels, random)
-        guess = join([surfaces, others])
+        going_on, others = fill_empty_cells(view_depths, join([cloud, *clouds]), pixels, random)
+        guess = join([going_on, others])
         right = ~((look_from_all(guess, all_depths).through > 0) | too_near(guess, all_depths, _MIN_DEPTH_FRACTION))
+        if view_depths.view.recorded is not None:
+            others_surfaces = [surface for surface in surfaces if surface[0] is not view_depths]
+            right &= ~(_at_border(view_depths.view, guess) & _hangs_before(guess, others_surfaces))
         clouds.append(take(guess, right))
-        continued.append((np.arange(len(guess)) < len(surfaces))[right])
+        continued.append((np.arange(len(guess)) < len(going_on))[right])
     return join(clouds), np.concatenate(continued)
 
 
@@ -108,13 +114,40 @@ def _recorded_cells(view: SweepView) -> NDArray[np.bool_]:
     return np.asarray(padded.reshape(rows, CELL_PIXELS, columns, CELL_PIXELS).any(axis=(1, 3)))
 
 
-def _inside_border(view: SweepView) -> NDArray[np.bool_]:
-    """Pixels (H, W) away from the border of what a lens recorded; all of a picture that was recorded as a whole."""
-    if view.recorded is None:
-        return np.ones((view.height, view.width), np.bool_)
+def _known_depths(view_depths: ViewDepths, cloud: Cloud) -> Array:
+    """Inverse depths (H, W) of a view, 0 where unknown: its own ones, or those of ``cloud`` if these are too few."""
+    view, confirmed = view_depths.view, view_depths.confirmed
+    if confirmed is None or np.count_nonzero(confirmed) < _OWN_DEPTHS_FRACTION * view.pixels:
+        return projected_depths(view, cloud.xyz)
+    return confirmed
+
+
+def _at_border(view: SweepView, cloud: Cloud) -> NDArray[np.bool_]:
+    """Points (P,) of a view that lie at the border of what its lens recorded."""
+    assert view.recorded is not None
     framed = np.pad(view.recorded.astype(np.uint8), 1)
     distance = cv2.distanceTransform(framed, cv2.DIST_C, cv2.DIST_MASK_3)[1:-1, 1:-1]
-    return np.asarray(distance > _BORDER_WIDTHS * view.width)
+    u, v, _ = project(view, cloud.xyz)
+    return np.asarray(distance[_nearest_pixels(view, u, v)] <= _BORDER_WIDTHS * view.width)
+
+
+def _hangs_before(cloud: Cloud, surfaces: Sequence[tuple[ViewDepths, Array]]) -> NDArray[np.bool_]:
+    """Points (P,) well before the surface of some view: inverse depths (H, W), known and continued; 0 without any."""
+    before = np.zeros(len(cloud), np.bool_)
+    for view_depths, inverse_depths in surfaces:
+        u, v, depth = project(view_depths.view, cloud.xyz)
+        seen = inside(view_depths.view, u, v) & (depth > 0)
+        surface = inverse_depths[_nearest_pixels(view_depths.view, u, v)]
+        before |= seen & (surface > 0) & (depth * surface < _BEFORE_SURFACE)
+    return before
+
+
+def _nearest_pixels(
+    view: SweepView, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns (P,), within the picture, nearest to positions in it."""
+    column, row = (np.nan_to_num(np.round(each)).astype(np.int64) for each in (u, v))
+    return np.clip(row, 0, view.height - 1), np.clip(column, 0, view.width - 1)
 
 
 def fill_empty_cells(
@@ -128,17 +161,14 @@ def fill_empty_cells(
     empty = np.argwhere((cell_counts(view, cloud.xyz) == 0) & _recorded_cells(view))
     if not len(empty):
         return empty_cloud(), empty_cloud()
-    inverse_depths = view_depths.confirmed
-    if inverse_depths is None or np.count_nonzero(inverse_depths) < _OWN_DEPTHS_FRACTION * view.pixels:
-        inverse_depths = projected_depths(view, cloud.xyz)
+    inverse_depths = _known_depths(view_depths, cloud)
     filled = fill_depths(inverse_depths)
     doubt = 1 - min(1.0, np.count_nonzero(inverse_depths) / (_SUFFICIENT_FRACTION * view.pixels))
     goes_on = continues(inverse_depths) if doubt == 0 else np.zeros(inverse_depths.shape, np.bool_)
     continued = _continued(view, empty, filled, goes_on, pixels, random) if goes_on.any() else empty_cloud()
 
     column, row = _pixels_of(view, empty, min((CELL_PIXELS / (_GUESS_SPACING * pixels)) ** 2, 4.0), random)
-    guessed = ~goes_on if doubt == 0 else ~goes_on & _inside_border(view)
-    column, row = column[guessed[row, column]], row[guessed[row, column]]
+    column, row = column[~goes_on[row, column]], row[~goes_on[row, column]]
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
     inverse = filled[row, column] * np.exp(scatter * random.standard_normal(len(row)))
     if view_depths.swept is not None and inverse_depths.any():
