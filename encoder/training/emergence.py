@@ -52,7 +52,7 @@ def add_undrawn(training: FrameTraining, work: WorkingSet) -> None:
     if not rule.has_backdrop:
         # What was left behind would still be drawn over what is lacking.
         work.remove(np.flatnonzero(training.is_free(work.values.means)))
-    room = min(round(_MAX_UNDRAWN_SHARE * work.population), training.context.max_gaussians - work.population)
+    room = min(round(_MAX_UNDRAWN_SHARE * work.population), training.context.population - work.population)
     if room <= 0:
         return
     views = [stage_view(training.context.views[i], frame.pictures[i]) for i in used]
