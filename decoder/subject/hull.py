@@ -70,14 +70,16 @@ class Hull:
         return self._looked_at(xyz)[0]
 
     def _looked_at(self, xyz: NDArray[np.floating]) -> tuple[BoolArray, NDArray[np.int64]]:
-        """The points through which a view shows the backdrop, and how many views look at each."""
+        """The points through which a view shows the backdrop, and how many views look at each of the others."""
         denied, looking = np.zeros(len(xyz), bool), np.zeros(len(xyz), np.int64)
+        rest = np.arange(len(xyz))
         for each in self.views:
-            u, v, depth = project(each.camera, xyz)
-            rows = np.flatnonzero(in_picture(each.camera, u, v, depth))
-            pixels = v[rows].astype(np.int64), u[rows].astype(np.int64)
+            u, v, depth = project(each.camera, xyz[rest])
+            inside = np.flatnonzero(in_picture(each.camera, u, v, depth))
+            rows, pixels = rest[inside], (v[inside].astype(np.int64), u[inside].astype(np.int64))
             looking[rows] += 1 if each.recorded is None else each.recorded[pixels]
-            denied[rows] |= ~each.subject[pixels]
+            denied[rows] = ~each.subject[pixels]
+            rest = np.flatnonzero(~denied)  # one view is enough
         return denied, looking
 
 
@@ -103,5 +105,18 @@ def with_margin(subject: BoolArray) -> BoolArray:
     """The pixels (H, W) of a subject and those beside its outline."""
     import cv2
 
-    size = (2 * _MARGIN_PIXELS + 1,) * 2
-    return cv2.dilate(subject.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size)).view(np.bool_)
+    return cv2.dilate(subject.view(np.uint8), _margin()).view(np.bool_)
+
+
+def without_margin(subject: BoolArray) -> BoolArray:
+    """The pixels (H, W) of a subject that has a margin, with its gaps closed."""
+    import cv2
+
+    return cv2.erode(subject.view(np.uint8), _margin()).view(np.bool_)
+
+
+def _margin() -> NDArray[np.uint8]:
+    import cv2
+
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _MARGIN_PIXELS + 1,) * 2)
+    return np.asarray(kernel, np.uint8)

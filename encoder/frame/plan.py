@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.rig.stage.stage import BackdropStage
+from decogs.rig.stage.subject import SubjectAlone
 
 from ..analysis.enabled import enabled_effects
 from ..analysis.moving_regions import moving_regions
@@ -159,6 +160,9 @@ def _select(context: Context, frame: PendingFrame, masks: Sequence[FrameMask]) -
     if stage is not None:
         of_any_view = select(evidence, replace(settings, min_views=1))
         selected |= of_any_view & stage.on_backdrop(scene.means)
+    if isinstance(stage, SubjectAlone):
+        # What the subject has left behind goes, also where no picture changes: over a background of its colour.
+        selected |= stage.in_frame(context.ingest.views, frame.compensated, used).free(scene.means)
     return selected
 
 

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from decogs.rig.stage.stage import Stage
+
 from ..change.masks import usable_views
 from ..coding.scene import Scene
 from ..stopwatch import Stopwatch
-from ..training.method import FrameInput, FreeSpace, TrainedFrame
+from ..training.method import FrameInput, TrainedFrame
 from ..training.schedule import UNKNOWN_PACE
 from ..training.warm_start import Motion
 from .context import Context
@@ -48,6 +50,7 @@ def train_frame(context: Context, frame: PendingFrame, plan: FramePlan, watch: S
 def _train(context: Context, frame: PendingFrame, plan: FramePlan, watch: Stopwatch) -> TrainedFrame:
     scene, memory = frame.scene, frame.memory
     deadline = None if memory.time is None else memory.time.deadline(watch.seconds)
+    stage = _stage(context, frame, plan)
     given = FrameInput(
         frame.index,
         scene.splats,
@@ -58,7 +61,8 @@ def _train(context: Context, frame: PendingFrame, plan: FramePlan, watch: Stopwa
         memory.motion.predict(),
         plan.settings,
         context.stopping(deadline),
-        _free_space(context, frame, plan),
+        None if stage is None else stage.free,
+        stage,
         frame.recorded.lost_views(context.ingest.views).keys(),
         plan.relit,
         plan.relit or memory.masks.relit,
@@ -70,9 +74,9 @@ def _train(context: Context, frame: PendingFrame, plan: FramePlan, watch: Stopwa
         return memory.trainer.train(given)
 
 
-def _free_space(context: Context, frame: PendingFrame, plan: FramePlan) -> FreeSpace | None:
-    """Where a stage is empty in this frame; None where that is not known."""
+def _stage(context: Context, frame: PendingFrame, plan: FramePlan) -> Stage | None:
+    """The stage in this frame, if it is one whose empty space is known."""
     stage = frame.memory.stage
     if stage is None or frame.kind is not Kind.CHANGE:
         return None
-    return stage.in_frame(context.ingest.views, frame.compensated, usable_views(plan.masks)).free
+    return stage.in_frame(context.ingest.views, frame.compensated, usable_views(plan.masks))

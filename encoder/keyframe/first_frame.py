@@ -26,6 +26,7 @@ from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import StoppingRule
 from .first_points import FirstPoints, first_points, take_points
+from .first_points.missed import with_missed
 from .harmonics import trim_sh_degree
 from .large_pictures import fit_to_pictures
 from .train import prealigned_pictures, train_keyframe
@@ -72,9 +73,10 @@ def train_first_frame(
     if header is None:
         _check_not_black(frame, ingest.views)
 
+    most = fit_to_pictures([view.pixels for view in ingest.views], settings.keyframe).first_points
+
     def points_of(frame: RigFrame) -> tuple[FirstPoints, Stage | None]:
         stage = find_stage(ingest.views, frame)
-        most = fit_to_pictures([view.pixels for view in ingest.views], settings.keyframe).first_points
         points = first_points(
             [view.pinhole for view in ingest.views],
             [picture.transpose(1, 2, 0) for picture in frame.training],
@@ -89,8 +91,12 @@ def train_first_frame(
             ingest.place_near_planes(points.xyz)
         return points, stage
 
-    def under_sky(points: FirstPoints, stage: Stage | None, frame: RigFrame) -> tuple[FirstPoints, Stage | None]:
-        air = find_open_air(ingest.views, frame, points.xyz) if stage is None else None
+    def fitted(points: FirstPoints, stage: Stage | None, frame: RigFrame) -> tuple[FirstPoints, Stage | None]:
+        """Without points before a sky, and with those that the sweep misses on a stage."""
+        if stage is not None:
+            room = max(1, round(stage.hull.share * most))
+            return with_missed(points, stage, ingest.views, frame.training, most=room, threads=threads), stage
+        air = find_open_air(ingest.views, frame, points.xyz)
         return (points, stage) if air is None else (take_points(points, air.may_show(points.xyz)), air)
 
     keyframe = settings.keyframe if header is None else replace(settings.keyframe, sh_degree=header.sh_degree)
@@ -104,14 +110,14 @@ def train_first_frame(
             frame = match_colours(frame, ingest.views, colours)
             frame_stage = find_stage(ingest.views, frame)
             stage = None if stage is None else frame_stage
-        points, stage = under_sky(points, stage, frame)
+        points, stage = fitted(points, stage, frame)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
                 kernel, ingest.views, frame.training, points, keyframe, corrector, seed=seed
             )
             aligned = replace(frame, training=prealigned)
-            points, stage = under_sky(*points_of(aligned), aligned)
+            points, stage = fitted(*points_of(aligned), aligned)
     with watch.stage("keyframe"):
         trained = train_keyframe(
             kernel,

@@ -19,7 +19,7 @@ from decogs.formats.splats import FloatArray
 from decogs.rig.parallel import side_by_side
 
 from ..backends import Gradients
-from ..training.emergence import add_emerging_in_time
+from ..training.emergence import add_emerging_in_time, add_undrawn
 from ..training.frame_training import FrameTraining, LossOfView, Step, frame_training
 from ..training.losses import focus_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
@@ -159,6 +159,8 @@ class _Growth:
             densify(training, work, work.values, self._gathered)
         if schedule.reaches(self._from):
             self.searching, self.search = add_emerging_in_time(training, work, schedule, self.search)
+            if training.frame.stopping.deadline is None:
+                add_undrawn(training, work)
             self._gathered = training.context.kernel.view_gradients(len(work.rows))
 
     def after(self, schedule: StepSchedule, gradients: Gradients, view: int) -> None:

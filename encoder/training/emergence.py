@@ -6,16 +6,30 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.splats import Splats, empty_splats, take_splats
+from decogs.decoder.cameras.resizing import resized, resized_plane
+from decogs.formats.splats import Splats, empty_splats, round_splats, take_splats
 from decogs.rig.parallel import side_by_side
+from decogs.rig.stage.views import StageView, stage_view
 
+from ..backends import FixedView
 from .frame_training import FrameTraining
+from .hull_points import Rule, hull_points, rule_of, subject_pixels
 from .schedule import SearchTime, StepSchedule, search_of, search_seconds
 from .seeding import SearchView, enough_missed_pixels, find_seeds, missed_pixels
 from .working_set import WorkingSet
+
+_MAX_UNDRAWN_SHARE = 0.1
+"""Of the Gaussians, how many a frame may add where its drawing lacks subject."""
+_DRAWN_ALPHA = 0.85
+"""Alpha below which a pixel of the subject is not drawn yet. With .5 fewer points come, and a take thins out again."""
+_UNDRAWN_LEVELS = 25.0
+"""8-bit levels by which a pixel before a backdrop is missed: its alpha is 1 either way."""
+_UNDRAWN_OPACITY, _UNDRAWN_SIGMA_SPACINGS = 0.5, 0.5
+"""Of the new Gaussians, the size in units of their distance."""
 
 
 def add_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float = 1.0) -> None:
@@ -24,6 +38,41 @@ def add_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int]
     emerging = take_splats(emerging, ~training.is_free(emerging.means))
     if len(emerging):
         work.append(emerging)
+
+
+def add_undrawn(training: FrameTraining, work: WorkingSet) -> None:
+    """Adds Gaussians to ``work`` where a stage's hull shows subject that the drawing lacks, as far as there is room.
+
+    A thing that flies further in a frame than it is wide leaves its Gaussians behind, in free space, where they go.
+    """
+    frame, used = training.frame, training.used
+    rule = rule_of(frame.stage)
+    if frame.stage is None or rule is None:
+        return
+    if not rule.has_backdrop:
+        # What was left behind would still be drawn over what is lacking.
+        work.remove(np.flatnonzero(training.is_free(work.values.means)))
+    room = min(round(_MAX_UNDRAWN_SHARE * work.population), training.context.population - work.population)
+    if room <= 0:
+        return
+    views = [stage_view(training.context.views[i], frame.pictures[i]) for i in used]
+    training.draw(used, work, work.optimiser)
+    lacking = [_lacking(training.context.static_views[i], view, rule) for i, view in zip(used, views, strict=True)]
+    missing = [subject & lack for subject, lack in zip(subject_pixels(frame.stage), lacking, strict=True)]
+    points = hull_points(frame.stage, views, missing, rule, most=room, threads=training.context.threads)
+    if len(points):
+        opacities = np.full(len(points), _UNDRAWN_OPACITY)
+        sigmas = _UNDRAWN_SIGMA_SPACINGS * points.spacing
+        work.append(round_splats(points.xyz, points.rgb, sigmas, opacities, work.values.sh_degree))
+
+
+def _lacking(drawn: FixedView, view: StageView, rule: Rule) -> NDArray[np.bool_]:
+    """Pixels (H, W) of a view that the drawing leaves open or, before a backdrop, draws in another colour."""
+    if not rule.has_backdrop:
+        return np.asarray(resized_plane(drawn.alpha, view.camera) < _DRAWN_ALPHA)
+    shown = np.clip(resized(drawn.rgb, view.camera).transpose(1, 2, 0), 0, 1)
+    wrong = np.abs(shown - view.picture).max(axis=2) > _UNDRAWN_LEVELS / 255
+    return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
 def add_emerging_in_time(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray, Splats
 from decogs.rig.pictures.ingest import View, scene_extent
+from decogs.rig.stage.stage import Stage
 
 from ..backends import FixedView, TrainingKernel
 from ..change.masks import FrameMask
@@ -67,10 +68,10 @@ class FrameInput:
     them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view,
     colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
     displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``free``: the frame's
-    empty space, where it is known. ``lost``: views, by number, that have no picture of this frame; what is in its place
-    must not teach. Masks say so as well. ``relit``: light has changed more than steps follow. ``clipped``: it has in
-    this or an earlier frame, so that what is recorded as white may be brighter. ``pace``: of the frames before, under
-    a deadline.
+    empty space, where it is known; ``stage``: in which it is. ``lost``: views, by number, that have no picture of this
+    frame; what is in its place must not teach. Masks say so as well. ``relit``: light has changed more than steps
+    follow. ``clipped``: it has in this or an earlier frame, so that what is recorded as white may be brighter.
+    ``pace``: of the frames before, under a deadline.
     """
 
     index: int
@@ -83,6 +84,7 @@ class FrameInput:
     settings: FrameSettings
     stopping: StoppingRule = WHOLE
     free: FreeSpace | None = None
+    stage: Stage | None = None
     lost: Collection[int] = ()
     relit: bool = False
     clipped: bool = False

@@ -8,17 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.cameras.resizing import recorded_pixels, resized_plane
 from decogs.decoder.subject.hull import BoolArray, Hull, hull_of_mattes, matte_view
 from decogs.formats.splats import FloatArray, Splats, empty_splats
 
 from ..pictures.ingest import RigFrame, View
 
+_SOLID_ALPHA = 0.9
+"""Of a pixel that shows nothing but the subject."""
+
 
 @dataclass(frozen=True)
 class SubjectAlone:
-    """A stage of which only the subject is kept, in the ``hull`` of its mattes."""
+    """A stage of which only the subject is kept, in the ``hull`` of its mattes.
+
+    ``solid``: of each view of the hull, the pixels (H, W) that show nothing but the subject.
+    """
 
     hull: Hull
+    solid: Sequence[BoolArray] = ()
 
     is_closed = True
 
@@ -49,5 +57,10 @@ class SubjectAlone:
 def subject_alone(views: Sequence[View], alphas: Sequence[FloatArray]) -> SubjectAlone:
     """The hull of mattes (H, W), one for each of the ``views``."""
 
-    each = zip(views, alphas, strict=True)
-    return SubjectAlone(hull_of_mattes([matte_view(view.pinhole, alpha, view.valid) for view, alpha in each]))
+    each = list(zip(views, alphas, strict=True))
+    hull = hull_of_mattes([matte_view(view.pinhole, alpha, view.valid) for view, alpha in each])
+    solid = [
+        (resized_plane(alpha, seen.camera) >= _SOLID_ALPHA) & recorded_pixels(view.valid, seen.camera)
+        for (view, alpha), seen in zip(each, hull.views, strict=True)
+    ]
+    return SubjectAlone(hull, solid)

@@ -30,7 +30,7 @@ from decogs.encoder.frame.events import Kind, PendingFrame, what_happened
 from decogs.encoder.frame.first_look import FirstLook
 from decogs.encoder.frame.memory import Memory, restart_at_segment
 from decogs.encoder.frame.next_segment import NextSegment
-from decogs.encoder.frame.plan import FramePlan, light_only, plan_frame
+from decogs.encoder.frame.plan import FramePlan, find_selected, light_only, plan_frame
 from decogs.encoder.frame.segment_starts import SceneStart, SegmentStarts
 from decogs.encoder.frame.train import train_frame
 from decogs.encoder.input.compensation.colour import remove_gain
@@ -140,6 +140,25 @@ def test_what_light_alone_changes_goes_by_weight_whatever_selects(rule: str) -> 
     selected, moving = np.ones(3, bool), [EVERYWHERE.raw] * 2
     found = light_only([view, view], [EVERYWHERE] * 2, selected, moving, SelectionSettings(rule=rule))
     np.testing.assert_array_equal(found, [False, True, True])
+
+
+def test_of_a_subject_alone_what_stands_in_free_space_is_selected_though_no_picture_changes() -> None:
+    class Left(SubjectAlone):
+        def in_frame(self, views: Any, frame: Any, used: Any) -> SubjectAlone:
+            return self
+
+        def free(self, xyz: Any) -> Any:
+            return np.array([False, True, False])
+
+    weights = np.array([1, 1, 1], np.float32), np.zeros(3, np.float32)
+    view = Stub(redraw=lambda region: weights, centres=lambda: np.full((3, 2), 4, np.float32))
+    scene = Stub(state=np.zeros(3), splats=Stub(means=np.zeros((3, 3), np.float32)))
+    context = Stub(settings=DRAFT, ingest=Stub(views=[]))
+    for stage, expected in ((Left(Hull([])), [False, True, False]), (None, [False] * 3)):
+        memory = memory_of(stage=stage, views=Stub(of=lambda splats: [view, view]))
+        frame = Stub(scene=scene, kind=Kind.CHANGE, memory=memory, compensated=None)
+        found = find_selected(context, frame, [EVERYWHERE] * 2, Stopwatch())
+        np.testing.assert_array_equal(found, expected)
 
 
 # Training

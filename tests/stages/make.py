@@ -181,7 +181,7 @@ def write_stage(
     looking = [look(camera, stage) for camera in views]
     gains = 1 + stage.gains * np.random.default_rng(seed).uniform(-1, 1, len(views))
     for frame in range(frames):
-        acting = [] if is_empty else scenes.on_stage(frame, stage.clothes)
+        acting = [] if is_empty else [*scenes.on_stage(frame, stage.clothes), *stage.more(frame)]
         backdrop = light_on_backdrop(stage, acting, views[0].height)
         rendered = render_all(looking, acting, backdrop)
         for index, (view, (image, matte)) in enumerate(zip(looking, rendered, strict=True)):

@@ -105,6 +105,7 @@ TARTAN = Paint((0.35, 0.3, 0.28), (0.1, 0.03, 0.12), "checks", 0.09)
 BALL = Paint((0.6, 0.55, 0.5), (0.5, 0.05, 0.1), "checks", 0.08, 0.2)
 WOOD = Paint((0.3, 0.16, 0.07), (0.14, 0.07, 0.03), width=0.04)
 METAL = Paint((0.12, 0.12, 0.13), (0.3, 0.3, 0.32), width=0.3)
+DULL = Paint((0.3, 0.11, 0.09), (0.3, 0.11, 0.09), grain=0.0)
 UNDYED = Paint(GREY, GREY, grain=0.0)
 
 
@@ -164,6 +165,15 @@ def ball(frame: int) -> Body:
     return ellipsoid(
         (0.1 - 0.35 * (1 - 2 * share), 0.3 * (2 * share - 1) + 0.05, height), (0.12, 0.12, 0.12), BALL, 6 * share
     )
+
+
+def flying(frame: int) -> list[Body]:
+    """A dull ball near the pictures' borders, which flies further in a frame than it is wide."""
+    return [ellipsoid((1.36, -0.5 + 0.26 * frame, 1.95), (0.12, 0.12, 0.12), DULL)]
+
+
+def nothing_more(frame: int) -> list[Body]:
+    return []
 
 
 def on_stage(frame: int, clothes: tuple[Paint, Paint] = (JUMPER, TARTAN)) -> list[Body]:
@@ -255,6 +265,7 @@ class Stage:
     props: tuple[Body, ...] = ()
     clothes: tuple[Paint, Paint] = (JUMPER, TARTAN)
     gains: float = 0.0
+    more: Callable[[int], list[Body]] = nothing_more
 
 
 def _dyed(*colour: float) -> Stage:
@@ -270,6 +281,7 @@ STAGES = {
     "rigging": Stage(props=rigging()),
     "camouflage": Stage(clothes=(UNDYED, UNDYED)),
     "exposure": Stage(gains=0.08),
+    "flying": Stage(more=flying),
     "floor": Stage(dance_floor, (0.25, 0.16, 0.1)),
     "boards": Stage(boarded, (0.25, 0.2, 0.15), square_room),
 }

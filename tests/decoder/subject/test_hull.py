@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from decogs.decoder.subject.hull import Hull, SubjectView, hull_of_mattes, recorded_pixels, with_margin
+from decogs.decoder.subject.hull import Hull, SubjectView, hull_of_mattes, recorded_pixels, with_margin, without_margin
 from decogs.formats.cameras import Camera
 
 
@@ -47,6 +47,12 @@ def test_a_margin_is_two_pixels_round() -> None:
     grown = with_margin(point)
     np.testing.assert_array_equal(grown[4], np.abs(np.arange(9) - 4) <= 2)
     assert not grown[2, 2]
+
+
+def test_without_its_margin_a_subject_is_what_it_was() -> None:
+    subject = np.zeros((20, 20), bool)
+    subject[6:14, 8:11] = True
+    np.testing.assert_array_equal(without_margin(with_margin(subject)), subject)
 
 
 def test_a_pixel_counts_as_recorded_where_all_of_it_was() -> None:
