@@ -50,7 +50,6 @@ def train_frame(context: Context, frame: PendingFrame, plan: FramePlan, watch: S
 def _train(context: Context, frame: PendingFrame, plan: FramePlan, watch: Stopwatch) -> TrainedFrame:
     scene, memory = frame.scene, frame.memory
     deadline = None if memory.time is None else memory.time.deadline(watch.seconds)
-    stage = _stage(context, frame, plan)
     given = FrameInput(
         frame.index,
         scene.splats,
@@ -61,8 +60,7 @@ def _train(context: Context, frame: PendingFrame, plan: FramePlan, watch: Stopwa
         memory.motion.predict(),
         plan.settings,
         context.stopping(deadline),
-        None if stage is None else stage.free,
-        stage,
+        _stage(context, frame, plan),
         frame.recorded.lost_views(context.ingest.views).keys(),
         plan.relit,
         plan.relit or memory.masks.relit,

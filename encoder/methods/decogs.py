@@ -123,7 +123,7 @@ def _iteration_factor(
 def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, growth: _Growth) -> None:
     """Trains the Gaussians' values to the end of the schedule, or until the target quality is reached."""
     end = _End(training, work)
-    smoothed_at = () if training.frame.free is None else _SMOOTHED_AT
+    smoothed_at = () if training.frame.stage is None else _SMOOTHED_AT
     for step in training.steps("joint"):
         if schedule.is_over:
             break

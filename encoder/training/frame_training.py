@@ -132,7 +132,7 @@ class FrameTraining:
 
     def is_free(self, means: FloatArray) -> NDArray[np.bool_]:
         """Points (P, 3) in the frame's empty space; none where it is not known."""
-        return np.zeros(len(means), bool) if self.frame.free is None else self.frame.free(means)
+        return np.zeros(len(means), bool) if self.frame.stage is None else self.frame.stage.free(means)
 
     def in_any_focus(self, means: FloatArray) -> NDArray[np.bool_]:
         """Points (P, 3) that project into the region of interest of at least one view."""

@@ -31,10 +31,6 @@ MAX_GROWTH = 1.25
 growing: the tests' scene from 2 500 Gaussians to 18 000 in a thousand frames, which costs 2 dB."""
 
 
-FreeSpace = Callable[[FloatArray], NDArray[np.bool_]]
-"""Which points (P, 3) lie in space that is known to be empty."""
-
-
 @dataclass(frozen=True)
 class TrainingContext:
     """Constants of a stream's training.
@@ -67,8 +63,8 @@ class FrameInput:
     ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``light_only`` (N,): those of
     them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view,
     colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
-    displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``free``: the frame's
-    empty space, where it is known; ``stage``: in which it is. ``lost``: views, by number, that have no picture of this
+    displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``stage``: the
+    frame's, where its empty space is known. ``lost``: views, by number, that have no picture of this
     frame; what is in its place must not teach. Masks say so as well. ``relit``: light has changed more than steps
     follow. ``clipped``: it has in this or an earlier frame, so that what is recorded as white may be brighter.
     ``pace``: of the frames before, under a deadline.
@@ -83,7 +79,6 @@ class FrameInput:
     motion: FloatArray
     settings: FrameSettings
     stopping: StoppingRule = WHOLE
-    free: FreeSpace | None = None
     stage: Stage | None = None
     lost: Collection[int] = ()
     relit: bool = False
