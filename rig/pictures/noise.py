@@ -61,12 +61,12 @@ def picture_noise(
 
     ``recorded``: the pixels (H, W) that count, None meaning all.
     """
-    planes = [picture if picture.ndim == 3 else picture[None] for picture in (before, now)]
-    rows = _filtered_rows(planes[0][0], samples)
-    detail: FloatArray = np.stack([_laplacian(one, two, rows) for one, two in zip(*planes, strict=True)])
+    before, now = (picture if picture.ndim == 3 else picture[None] for picture in (before, now))
+    rows = _filtered_rows(before[0], samples)
+    detail: FloatArray = np.stack([_laplacian(one, two, rows) for one, two in zip(before, now, strict=True)])
     inner = None if recorded is None else cv2.erode(recorded.astype(np.uint8), np.ones((3, 3), np.uint8))[rows] > 0
     from_neighbours = _robust_deviation(_sample(detail, samples, inner)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
-    across = _deviation_across_light(*planes, recorded)
+    across = _deviation_across_light(before, now, recorded)
     return from_neighbours if from_neighbours <= _MAX_NOISE_RATIO * across else across
 
 
