@@ -281,7 +281,7 @@ def _matches_in_place(stats: RigStatistics, late: F64, each: Each) -> tuple[Matc
 
     Of a late camera, by the frames that show the others' moments.
     """
-    shift = np.rint(np.nan_to_num(late)).astype(int)
+    shift = np.rint(np.nan_to_num(late) / stats.step).astype(int)
     frames = len(stats.frames)
     begin, end = max(0, -shift.min()), frames - max(0, shift.max())
     moments = [begin + k for k in moments_of(end - begin)] if end > begin else [0]
@@ -290,7 +290,7 @@ def _matches_in_place(stats: RigStatistics, late: F64, each: Each) -> tuple[Matc
         return stats.matches, []
     rows = range(len(stats.cameras))
     features = [
-        list(each(features_of, stats.cameras, [stats.pictures[k][min(frames - 1, at + shift[k])] for k in rows]))
+        list(each(features_of, stats.cameras, [stats.pictures[k][np.clip(at + shift[k], 0, frames - 1)] for k in rows]))
         for at in moments
     ]
     matches = join_matches([match_features(stats.cameras, seen, each) for seen in features])

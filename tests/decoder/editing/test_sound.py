@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import wave
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from decogs.codec.packets.sound import RATE, SoundTrack, frame_start
+from decogs.codec.packets.sound import BLOCK, RATE, SoundPacket, SoundTrack, frame_start
 from decogs.decoder import decode_sound, open_stream
 from decogs.decoder.editing import (
     Audio,
@@ -29,6 +30,9 @@ from decogs.decoder.editing import (
 )
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.editing.operations.retime import _MOST_FRAMES
+from decogs.decoder.editing.sound import from_frame
+from decogs.decoder.editing.take import Take
+from decogs.decoder.sound.packets import FrameSound
 from decogs.decoder.sound.samples import mixed_sound
 from decogs.formats.errors import UsageError
 from edited_streams import bodies, header_of
@@ -93,6 +97,17 @@ def test_a_trim_sounds_as_the_take_does_there(sounding: Path, tmp_path: Path, st
     now = heard(tmp_path / "out.dgs")
     assert np.abs(now - was).max() < 2e-3
     assert sounds_of(tmp_path / "out.dgs")[1:] == sounds_of(sounding)[start + 1 : 18]
+
+
+def test_what_lies_behind_a_gap_after_the_first_frame_takes_nothing_from_it(segmented_stream, tmp_path: Path) -> None:
+    """A track that stops in the frame with which the new take begins, and goes on in the next one after a silence."""
+    played = {5: SoundPacket(0, 0, (b"last",)), 6: SoundPacket(0, BLOCK // 2, (b"next",))}
+
+    def hear(start: int, stop: int) -> Iterator[FrameSound]:
+        return (((played[frame],) if frame in played else ()) for frame in range(start, stop))
+
+    take = Take(header_of(segmented_stream.path), 10, lambda start, stop: iter(()), hear)
+    assert list(from_frame(take, 5)(0, 2)) == [(played[5],), (played[6],)]
 
 
 def test_a_seam_is_heard_to_the_sample(sounding: Path, tmp_path: Path) -> None:

@@ -235,8 +235,11 @@ def test_a_scene_that_covers_the_picture_thousands_of_times_is_refused() -> None
     row = np.float32([[0, 0, 2]]), np.ones((1, 3)), np.float32([[1, 0, 0, 0]]), np.full(1, 5.0), np.zeros((1, 1, 3))
     splats = Splats(*(np.repeat(value, count, axis=0).astype(np.float32) for value in row))
     wide = Camera("wide", 4096, 4096, 4e3, 4e3, 2048.0, 2048.0, np.eye(4))
+    view = IncrementalView(wide, (0.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="4096x4096 is covered too many times"):
-        IncrementalView(wide, (0.0, 0.0, 0.0)).set_scene(splats)
+        view.set_scene(splats)
+    with pytest.raises(ValueError, match="the last scene was refused"):
+        view.redraw()
     with pytest.raises(UsageError, match="4096x4096 is covered too many times by the scene's Gaussians; choose a smal"):
         render(splats, wide)
     assert render(splats, scale_camera(wide, 1 / 64)).alpha.min() > 0.9, "and the renderer is as good as new"

@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -19,11 +20,13 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.formats.cameras import Camera
 from decogs.formats.errors import RecordingEnded, RigError
 from decogs.formats.rigs import connections as connections_module
 from decogs.formats.rigs import dropped_in, open_live, read_frames
 from decogs.formats.rigs.feeds import DAMAGED, LACKING, OVERRUN
-from decogs.formats.rigs.sender_times import SharedClock, StampsOfSender
+from decogs.formats.rigs.sender_times import SharedClock, StampsOfFile, StampsOfSender
+from decogs.formats.rigs.video_feed import VideoFeed
 from decogs.formats.videos.reading import open_video
 from rtsp_camera import RtspCamera, coded
 
@@ -82,14 +85,20 @@ class Recorded:
     """The bytes of a video as a camera writes them: ``upto[k]`` of them when it has written k pictures."""
 
     def __init__(
-        self, container: str, count: int, lacks: tuple[int, ...] = (), tune: str = "zerolatency", **options: str
+        self,
+        container: str,
+        count: int,
+        lacks: tuple[int, ...] = (),
+        tune: str = "zerolatency",
+        x264: str = "",
+        **options: str,
     ) -> None:
         self.data, self.upto = bytearray(), [0]
         with av.open(self, "w", format=container, options=options) as video:
             stream: Any = video.add_stream("libx264", rate=FPS)
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
             stream.codec_context.gop_size = 5
-            stream.codec_context.options = {"tune": tune, "qp": "4", "sc_threshold": "0"}
+            stream.codec_context.options = {"tune": tune, "qp": "4", "sc_threshold": "0", "x264-params": x264}
             for moment in range(count):
                 frame = av.VideoFrame.from_ndarray(picture(moment), format="rgb24")
                 frame.pts = moment
@@ -347,6 +356,53 @@ def test_the_queue_of_a_sender_is_bounded(tmp_path: Path) -> None:
     for frame, moments in enumerate(found.moments):
         lacks = found.dropped.get(frame, {})
         assert all(moment == begin + frame or f"cam{k:02d}" in lacks for k, moment in enumerate(moments))
+
+
+class PausingSender:
+    """A camera that sends a video's first ten packets, and the others once it is told to `go_on` (`Connection`)."""
+
+    origin, advice, sends = "sender", "", True
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.paused, self.go_on, self.ended = threading.Event(), threading.Event(), threading.Event()
+
+    @contextmanager
+    def opened(self, is_over: Callable[[], bool]) -> Iterator[tuple[Any, Any]]:
+        if self.ended.is_set():
+            raise RigError("it ended")
+        with av.open(self.path) as video:
+            yield SimpleNamespace(demux=lambda stream: self.packets(video, stream)), video.streams.video[0]
+        self.ended.set()
+
+    def packets(self, video: Any, stream: Any) -> Iterator[Any]:
+        for number, packet in enumerate(video.demux(stream)):
+            if number == 10:
+                self.paused.set()
+                self.go_on.wait(10)
+            yield packet
+
+    def stamps(self) -> StampsOfFile:
+        return StampsOfFile()
+
+
+def test_after_pictures_were_thrown_away_those_from_a_keyframe_on_are_seen(tmp_path: Path) -> None:
+    """In a video whose B frames before a keyframe need pictures of before that, too, which are gone."""
+    (tmp_path / "a.mkv").write_bytes(Recorded("matroska", 40, tune="animation", x264="open-gop=1").data)
+    sender = PausingSender(tmp_path / "a.mkv")
+    camera = Camera("cam00", WIDTH, HEIGHT, 60.0, 60.0, 32.0, 24.0, np.eye(4))
+    feed = VideoFeed(camera, sender, SharedClock(), FPS, most=10)
+    try:
+        assert sender.paused.wait(10)
+        seen = [feed.take(frame) for frame in range(10)]
+        sender.go_on.set()
+        assert sender.ended.wait(10)
+        seen += [feed.take(frame) for frame in range(10, 40)]
+    finally:
+        feed.close()
+    moments = [None if each is None else moment_of(each) for each in seen]
+    assert moments[:4] == [0, 1, 2, 3]
+    assert moments[10:38] == [None] * 20 + list(range(30, 38))
 
 
 def test_mpegts_over_tcp(tmp_path: Path) -> None:

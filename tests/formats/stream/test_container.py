@@ -296,6 +296,7 @@ def test_scan_stops_at_an_incomplete_tail() -> None:
     data = stream(finish=False)
     assert len(scan_index(io.BytesIO(data[:-1]))) == 3
     assert len(scan_index(io.BytesIO(data + b"DGSP\3"))) == 4
+    assert len(scan_index(io.BytesIO(stream([*FRAMES, (PacketKind.SKIP, b"")], finish=False)))) == 5
 
 
 def with_index(entries: list[IndexEntry]) -> bytes:

@@ -12,7 +12,7 @@ import pytest
 
 from decogs.formats.colours.ycbcr import to_rgb
 from decogs.formats.videos.reading import open_video
-from textured_videos import long_video, texture
+from textured_videos import long_video, texture, write
 
 
 @pytest.mark.parametrize(("name", "reordered"), [("a.avi", True), ("a.mxf", True), ("raw.mp4", True), ("a.mp4", False)])
@@ -112,3 +112,10 @@ def write_chunks(path: Path, chunks: list[bytes]) -> None:
             packet.time_base, packet.stream, packet.duration = Fraction(1, 25), stream, 1
             packet.is_keyframe = b"\0\0\1\xb0" in chunk
             container.mux(packet)
+
+
+def test_after_damage_a_video_without_times_is_read_from_the_next_keyframe_on(tmp_path: Path) -> None:
+    write(tmp_path / "a.avi", frames=12, options={"g": "4", "bf": "2", "sc_threshold": "0"})
+    source = open_video(tmp_path / "a.avi")
+    assert source.times is None
+    assert [source.readable_after(index) for index in (0, 1, 4, 8)] == [4, 4, 8, 12]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from decogs.formats.rigs import open_rig, read_frames
+from decogs.formats.videos.clean_aperture import _elements
 from decogs.formats.videos.reading import open_video
 from rig_layouts import cameras, write_model
 from textured_videos import with_matrix, write
@@ -92,3 +94,10 @@ def test_a_rig_is_calibrated_for_what_is_shown_or_for_the_whole(
     assert {(camera.width, camera.height, camera.fx) for camera in rig.cameras} == {(*size, focal)}
     assert [frame.shape for frame in next(read_frames(rig))[1]] == [(size[1], size[0], 3)] * 2
     assert any("clean aperture" in warning for warning in rig.warnings) == (calibrated == (20, 15))
+
+
+@pytest.mark.parametrize("length", [b"\xff", b"\x01" + b"\xff" * 7], ids=["one byte", "eight bytes"])
+def test_a_matroska_element_of_unknown_size_goes_to_the_end(length: bytes) -> None:
+    data = b"\xa3\x82ab" + b"\x18\x53\x80\x67" + length + bytes(200)
+    spans = [span for _, span in _elements(io.BytesIO(data), (0, len(data)))]
+    assert spans == [(2, 4), (8 + len(length), len(data))]

@@ -221,7 +221,10 @@ def test_chroma_lies_where_the_stream_says(
         container.mux(stream.encode(frame))
         container.mux(stream.encode())
     with av.open(str(tmp_path / "a.mkv")) as container:
-        assert chroma_siting(next(container.decode(video=0))) == siting
+        frame = next(container.decode(video=0))
+        samples = frame.to_ndarray()
+        assert chroma_siting(frame) == siting
+        assert (frame.to_ndarray() == samples).all()
     assert open_video(tmp_path / "a.mkv").siting == siting
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from decogs.formats.cameras import Camera, project
 from decogs.rig.check.matches import Features, Matches, PairMatches, matched, neighbouring
-from decogs.rig.check.poses import connections, find_swaps, moments_of
+from decogs.rig.check.poses import connections, find_swaps, moments_of, suspected
 
 WIDTH, HEIGHT, FOCAL = 352, 264, 300.0
 
@@ -80,3 +80,13 @@ def test_pictures_that_stand_twice_are_not_exchanged() -> None:
 def test_moments_are_spread_evenly_from_the_first() -> None:
     assert moments_of(30) == [0, 10, 20]
     assert moments_of(1) == [0]
+
+
+@pytest.mark.parametrize(("wrong", "expected"), [(25, []), (35, [4, 5])])  # of a hundred; below .7 of the usual share
+def test_a_camera_is_suspected_when_far_fewer_of_its_matches_fit_than_of_others(
+    wrong: int, expected: list[int]
+) -> None:
+    fitting = pair(100, 0)
+    doubtful = replace(pair(100 - wrong, wrong), first=4, second=5)
+    cameras = [*ARC[:2], *ARC[:2], *ARC[:2]]
+    assert sorted(suspected(cameras, Matches((fitting, replace(fitting, first=2, second=3), doubtful)))) == expected

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from decogs.formats.cameras import Camera, project
-from decogs.rig.check.matches import Matches, PairMatches, neighbouring
-from decogs.rig.check.rig_check import RIGHT, WRONG, judge_rig
+from decogs.rig.check.matches import Features, Matches, PairMatches, features_of, neighbouring
+from decogs.rig.check.rig_check import RIGHT, WRONG, _matches_in_place, judge_rig
 
 WIDTH, HEIGHT, FOCAL = 352, 264, 300.0
 
@@ -135,3 +136,30 @@ def test_cameras_out_of_step_are_named(late: dict[int, float], said: list[str]) 
     found = np.array([late.get(number, 0.0) for number in range(len(cameras))])
     warnings = judge_rig(cameras, matches_of(cameras), found).warnings()
     assert [text.split(" against")[0] for text in warnings if "decogs-sync" in text] == said
+
+
+@pytest.mark.parametrize(
+    ("late", "step", "moments"),
+    [
+        ([0, 0, 0, 0], 1, []),
+        ([0, 2, 0, -1], 1, [[1, 3, 1, 0], [3, 5, 3, 2], [5, 7, 5, 4]]),
+        ([0, 8, 0, -4], 4, [[1, 3, 1, 0], [3, 5, 3, 2], [5, 7, 5, 4]]),  # of every fourth frame
+        ([0, 6, 0, -7], 1, [[0, 6, 0, 0]]),  # no moment is in the pictures of all
+    ],
+)
+def test_late_cameras_are_matched_by_the_pictures_of_the_others_moments(
+    late: list[float], step: int, moments: list[list[int]]
+) -> None:
+    cameras, compared = looking_in(ARC[:4], height=1.0), []
+    stats = SimpleNamespace(
+        cameras=cameras, matches=matches_of(cameras), frames=range(10), step=step, pictures=[range(10)] * 4
+    )
+
+    def each(function: Callable, *given: Sequence) -> Iterator:
+        if function is features_of:
+            compared.append(list(given[1]))
+            return iter([Features(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 128), np.float32))] * 4)
+        return map(function, *given)
+
+    _matches_in_place(stats, np.array(late, float), each)
+    assert compared == moments

@@ -75,3 +75,26 @@ def test_cloth_of_the_screens_colour_is_told_from_a_gap_by_its_pattern(pattern: 
     assert shown[amid].all() == is_gap
     assert worn[amid].all() == (not is_gap)
     assert shown[:10].all()
+
+
+@pytest.mark.parametrize(("columns", "is_shown"), [(2, False), (3, True)])  # of 12 000 pixels; 2.4 are enough
+def test_specks_of_the_screens_colour_are_no_screen(columns: int, is_shown: bool) -> None:
+    """At the picture's edge, where a region is no gap amid the subject."""
+    tones = _Tones(*(np.full((100, 120), value, np.float32) for value in (0, 1, 1)))
+    tones.angle[:50] = 90
+    tones.angle[0, :columns] = 0
+    shown, screen_coloured = _screen(tones)
+    assert shown[0, :columns].all() == is_shown
+    assert shown[50:].all()
+    assert not screen_coloured.any()
+
+
+@pytest.mark.parametrize(("side", "is_gap"), [(4, True), (3, False)])
+def test_a_gap_has_four_pixels_within_its_rim(side: int, is_gap: bool) -> None:
+    tones = _Tones(*(np.full(SHAPE, value, np.float32) for value in (0, 1, 1)))
+    tones.angle[SUBJECT] = 90
+    amid = (slice(26, 26 + side), slice(30, 30 + side))
+    tones.angle[amid] = 0
+    shown, screen_coloured = _screen(tones)
+    assert shown[amid].all() == is_gap
+    assert screen_coloured[amid].all() == (not is_gap)

@@ -7,10 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from decogs.formats.cameras import camera_centre, ray_slopes, turned
+from decogs.formats.cameras import camera_centre, project, ray_slopes, turned
 from decogs.formats.rigs import open_rig
 from decogs.rig.pictures.ingest import Ingest, RigFrame, View
-from decogs.rig.stage.open_air import OpenAir, find_open_air, open_air_of
+from decogs.rig.stage.open_air import OpenAir, _directions, find_open_air, open_air_of
+from decogs.rig.stage.views import StageView
 from outdoors.make import SKIES, cameras, write_meadow
 
 SIZE, VIEWS = (96, 72), slice(0, 13, 3)
@@ -133,3 +134,12 @@ def test_a_keyframe_with_a_dome_has_its_sky_again(meadow: Callable[[str], Meadow
     assert isinstance(again, OpenAir)
     assert all(map(np.array_equal, [v.subject for v in air.hull.views], [v.subject for v in again.hull.views]))
     assert open_air_of(ingest.views, frame, points) is None
+
+
+def test_directions_are_those_of_the_pixels_centres() -> None:
+    camera = cameras(SIZE, 110)[0]
+    height, width = camera.height, camera.width
+    view = StageView(camera, np.zeros((height, width, 3), np.float32), np.ones((height, width), bool))
+    u, v, _ = project(camera, camera_centre(camera) + _directions(view))
+    rows, columns = np.indices((height, width)).reshape(2, -1)
+    np.testing.assert_allclose([u - columns, v - rows], 0.5, atol=1e-6)  # doubles

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from decogs.rig.synchronisation.agreement import Agreement
+from decogs.rig.synchronisation.agreement import Agreement, agreement
 from decogs.rig.synchronisation.joint import StartEstimate, _lead, joint_starts
 
 REACH, EVIDENCE = 6, 40.0
@@ -76,3 +76,10 @@ def test_a_pair_whose_best_lag_says_little_does_not_count() -> None:
     assert from_first(joint)[:3] == pytest.approx([0, 2, 3], abs=1e-2)
     assert np.isnan([joint.starts[3], joint.errors[3]]).all()
     assert joint.pair_agreement[3] == 0
+
+
+def test_agreement_needs_five_changes_that_both_cameras_recorded() -> None:
+    signal = np.random.default_rng(1).normal(size=(1, 9, 20)).astype(np.float32)
+    of_lags = agreement(0, 1, signal, signal, reach=6)
+    assert np.flatnonzero(np.isfinite(of_lags.correlation)).tolist() == [2, 3, 4, 5, 6, 7, 8, 9, 10]  # lags -4 to 4
+    assert of_lags.correlation[6] == pytest.approx(1)
