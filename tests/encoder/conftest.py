@@ -21,6 +21,7 @@ from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
 from decogs.encoder.frame.context import Context
 from decogs.encoder.frame.encode_frame import Encoded as EncodedFrame
 from decogs.encoder.input.imported_keyframe import read_keyframe
+from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.settings.frame import FrameSettings, MaskSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.stream.options import RunOptions
@@ -158,6 +159,12 @@ def moving(encode: Encode, moving_rig: Path) -> Encoded:
 def dense(encode: Encode, moving_rig: Path, moving: Encoded) -> Encoded:
     """The moving rig's stream by the dense baseline, from the same keyframe."""
     return encode(moving_rig, settings=replace(TINY, method="3dgstream"), keyframe=moving.path)
+
+
+@pytest.fixture
+def brief_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The commands' dense baseline trains as few steps as that of ``encode``."""
+    monkeypatch.setitem(FRAME_METHODS._loaded, "3dgstream", BRIEF_BASELINE)
 
 
 @pytest.fixture(scope="session")

@@ -131,6 +131,7 @@ def test_options_reach_the_encoder(moving_rig: Path, tmp_path: Path) -> None:
         assert (stream.header.settings["seed"], stream.header.settings["scale"]) == (7, 0.5)
 
 
+@pytest.mark.usefixtures("brief_baseline")
 def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, tmp_path: Path) -> None:
     output = tmp_path / "scene.dgs"
     given = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02"]

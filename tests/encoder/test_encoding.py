@@ -175,6 +175,7 @@ def test_switches_apply_on_top_of_the_preset(
     assert start["settings"] == expected
 
 
+@pytest.mark.usefixtures("brief_baseline")
 def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
     dense: Any, moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
