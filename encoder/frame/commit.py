@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from decogs.codec.scene.state import same_values
 from decogs.formats.splats import FloatArray
+from decogs.rig.stage.subject import SubjectAlone
 
 from ..change.masks import MaskMemory
 from ..coding.packets import Written
@@ -75,12 +76,20 @@ def next_memory(
 def look_ahead(context: Context, frame: PendingFrame, plan: FramePlan, upcoming: Upcoming) -> Looking | None:
     """Begins to look at the next frame if it is known what this one, once trained, hands on to its masks."""
     compensated = context.corrector is not None or frame.scene.header.camera_colours
-    if compensated or not plan.trains or plan.relit or frame.memory.time is not None or not plan.masks:
+    if compensated or not plan.trains or _may_miss(frame, plan) or frame.memory.time is not None or not plan.masks:
         return None
     threads = max(1, context.threads // _LOOKING_SHARE)
     return begin_looking(
         lambda: _trained_masks(context, frame, plan, None), upcoming, context.kernel, context.settings, threads
     )
+
+
+def _may_miss(frame: PendingFrame, plan: FramePlan) -> bool:
+    """Whether training may leave pixels that it misses, which are to be selected again though they change no more.
+
+    A subject's edges that move slowly do: Gaussians that they leave take the background's colour, and stay.
+    """
+    return plan.relit or isinstance(frame.memory.stage, SubjectAlone)
 
 
 def _trained_masks(
@@ -101,7 +110,8 @@ def _masks_after(
     context: Context, frame: PendingFrame, plan: FramePlan, scene: Scene, trained: TrainedFrame | None
 ) -> MaskMemory:
     if trained is not None:
-        rendered = frame.memory.views.pictures(scene.splats) if trained.truncated or plan.relit else None
+        is_compared = trained.truncated or _may_miss(frame, plan)
+        rendered = frame.memory.views.pictures(scene.splats) if is_compared else None
         return _trained_masks(context, frame, plan, rendered)
     return frame.memory.masks.advance(frame.pictures, plan.masks, context.settings.frame.masks, deferred=plan.deferred)
 

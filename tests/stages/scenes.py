@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -188,6 +188,30 @@ def on_stage(frame: int, clothes: tuple[Paint, Paint] = (JUMPER, TARTAN)) -> lis
     return [*walking, *gesturing, ball(frame), *stool()]
 
 
+def long_take(frame: int, clothes: tuple[Paint, Paint]) -> list[Body]:
+    """Two performers walk round each other, now and then the other way, turn and reach; no frame is like another.
+
+    They stay clear of each other. One carries a ball about, which the other takes over; a dull one lies between them.
+    """
+    time = frame / FPS
+    way = 0.9 * time + 1.1 * np.sin(0.53 * time)
+    apart = 0.55 + 0.1 * np.sin(0.71 * time)
+    reach = 0.7 + 0.6 * np.sin(1.9 * time), 0.7 + 0.6 * np.sin(1.3 * time + 2)
+    turn = 1.2 * np.sin(0.61 * time), 1.2 * np.sin(0.83 * time + 1)
+    dress = ((SHIRT, JEANS), clothes)
+    made, hands = [], []
+    for index, sign in enumerate((1, -1)):
+        place = sign * apart * np.cos(way), sign * apart * np.sin(way)
+        heading = way + index * np.pi + np.pi / 2 + turn[index]
+        made += performer(place, heading, 5.1 * way + index, reach[index], *dress[index])
+        hands.append(made[-1].centre)  # the right hand
+    share = 0.5 + 0.5 * np.clip(3 * np.sin(0.9 * time), -1, 1)
+    carried = (1 - share) * hands[0] + share * hands[1] + np.array([0, 0, 0.8 * share * (1 - share)])
+    made.append(ellipsoid(carried, (0.13, 0.13, 0.13), BALL, 2 * time))
+    rolled = (0.16 * np.sin(1.7 * time), 0.16 * np.cos(1.1 * time), 0.12)
+    return [*made, ellipsoid(rolled, (0.12, 0.12, 0.12), DULL, 3 * time), *stool()]
+
+
 def rigging() -> tuple[Body, ...]:
     """Trusses and lamps before the wall, tripods of cameras between."""
     up, made = np.array([0, 0, 1], np.float32), []
@@ -227,6 +251,11 @@ def lamps() -> list[Lamp]:
     return made
 
 
+def few_lamps() -> list[Lamp]:
+    """A ninth of them, each as bright as nine: sharper shadows in a ninth of the time."""
+    return [replace(lamp, power=9 * lamp.power) for lamp in [*LAMPS[4:48:9], *LAMPS[48::9]]]
+
+
 def _lamp(place: Array, aim: Array, power: Array) -> Lamp:
     return Lamp(*(np.asarray(values, np.float32) for values in (place, aim, power)))
 
@@ -257,7 +286,10 @@ GREY_PAINT = plain(GREY)
 
 @dataclass(frozen=True)
 class Stage:
-    """A backdrop in a room, and how it differs from the grey one. ``bounce``: what it reflects on average."""
+    """A backdrop in a room, and how it differs from the grey one. ``bounce``: what it reflects on average.
+
+    ``acting``: the bodies of a frame, in these clothes. ``more``: further ones.
+    """
 
     albedo: Callable[[Array, Array], Array] = GREY_PAINT
     bounce: tuple[float, float, float] = GREY
@@ -266,6 +298,8 @@ class Stage:
     clothes: tuple[Paint, Paint] = (JUMPER, TARTAN)
     gains: float = 0.0
     more: Callable[[int], list[Body]] = nothing_more
+    acting: Callable[[int, tuple[Paint, Paint]], list[Body]] = on_stage
+    lamps: Sequence[Lamp] = field(default_factory=lambda: LAMPS)
 
 
 def _dyed(*colour: float) -> Stage:
@@ -283,5 +317,7 @@ STAGES = {
     "exposure": Stage(gains=0.08),
     "flying": Stage(more=flying),
     "floor": Stage(dance_floor, (0.25, 0.16, 0.1)),
+    "take": Stage(acting=long_take, lamps=few_lamps()),
+    "home": Stage(furnished, (0.25, 0.2, 0.15), square_room, acting=long_take, lamps=few_lamps()),
     "boards": Stage(boarded, (0.25, 0.2, 0.15), square_room),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -53,9 +54,11 @@ def test_a_ball_is_where_the_rig_s_cameras_see_it(green: Path) -> None:
         assert share @ (rows + 0.5) == pytest.approx(v.item(), abs=0.1)
 
 
-def test_performers_are_within_all_pictures() -> None:
-    for frame in (0, 20, 40):
-        centres = np.stack([body.centre for body in on_stage(frame) if body.moves])
+@pytest.mark.parametrize(("name", "frames"), [("grey", (0, 20, 40)), ("take", range(0, 300, 15))])
+def test_performers_are_within_all_pictures(name: str, frames: Sequence[int]) -> None:
+    stage = STAGES[name]
+    for frame in frames:
+        centres = np.stack([body.centre for body in stage.acting(frame, stage.clothes) if body.moves])
         for camera in cameras(SIZE):
             u, v, _ = project(camera, centres)
             assert ((u > 0) & (u < SIZE[0]) & (v > 0) & (v < SIZE[1])).all()

@@ -22,7 +22,9 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.rigs import open_rig, without_cameras
 from decogs.rig.check.faults import GOOD, HARMFUL, USABLE, Findings, faults_of
+from decogs.rig.check.moving import moves_through
 from decogs.rig.check.recordings import find_lost
+from decogs.rig.check.registration import camera_path
 from faults.make import FAULTS, with_fault, write_faulty, write_rig
 
 DATA = Path(os.environ.get("DECOGS_SHARED", Path(__file__).resolve().parents[4] / "shared")) / "data"
@@ -171,6 +173,22 @@ def test_a_camera_that_is_carried_is_refused_by_name(
         with pytest.raises(RigError, match=r"camera cam02 moves through the scene.*--exclude cam02"):
             encode(EncodeJob(rig, tmp_path / "scene.dgs", "live", threads=1))
         assert not list(tmp_path.glob("scene*"))
+
+
+def test_a_camera_that_stands_before_a_plain_wall_is_not_carried_though_all_that_has_corners_moves() -> None:
+    """As in a long take on a stage: none of a performer's corners is where, or what, it was in the first picture."""
+    cameras, pictures = carried(0.04)
+    assert moves_through(cameras[2], pictures[2], camera_path(pictures[2]))
+    random = np.random.default_rng(9)
+    wall = np.full((8, 264, 352, 3), 120.0)
+    for frame, shown in enumerate(wall):
+        if frame != 1:  # first it moves on, which looks like a shake; then it turns
+            cloth = cv2.GaussianBlur(random.uniform(0, 255, (150, 110, 3)), (0, 0), 1.5)
+        shown[60:210, 40 + 2 * frame : 150 + 2 * frame] = 5 * (cloth - 127) + 127
+    stands = np.clip(np.rint(wall), 0, 255).astype(np.uint8)
+    path = camera_path(stands)
+    assert path.shakes
+    assert not moves_through(cameras[2], stands, path)
 
 
 def test_an_excluded_camera_is_as_if_it_had_never_been(
