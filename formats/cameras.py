@@ -88,6 +88,12 @@ def ray_slopes(camera: Camera, u: NDArray[Any], v: NDArray[Any]) -> tuple[NDArra
     return (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
 
 
+def ray_directions(camera: Camera, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
+    """World directions (..., 3), of depth 1, of the rays through pixel positions; without distortion."""
+    x, y = ray_slopes(camera, u, v)
+    return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=-1))
+
+
 def scale_camera(camera: Camera, scale: float) -> Camera:
     """The same camera at ``scale`` times its resolution; sizes are rounded and at least one pixel."""
     width = max(1, round(camera.width * scale))

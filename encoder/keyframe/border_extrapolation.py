@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.cameras.resizing import resized, resized_plane
-from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, scale_camera, turned
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_directions, scale_camera
 from decogs.formats.splats import FloatArray, Splats, round_splats
 from decogs.rig.mattes.filling import push_pull
 from decogs.rig.pictures.ingest import View
@@ -173,8 +173,7 @@ def _free_cells(
 def _blobs_at(picture: _WidePicture, row: NDArray[np.int64], column: NDArray[np.int64], cell: int) -> _Blobs:
     camera = picture.camera
     depth = 1 / picture.inverse_depth[row, column].astype(np.float64)
-    x, y = ray_slopes(camera, column + 0.5, row + 0.5)
-    rays = turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=-1))
+    rays = ray_directions(camera, column + 0.5, row + 0.5)
     return _Blobs(
         camera_centre(camera) + rays * depth[:, None],
         picture.rgb[row, column],

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.subject.hull import without_margin
-from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_directions
 from decogs.formats.geometry.axes import point_nearest_axes
 from decogs.formats.splats import FloatArray
 from decogs.rig.numerics import bilinear, floats
@@ -141,7 +141,7 @@ class _Search:
         camera = self._views[index].camera
         rows, columns = np.divmod(pixels, camera.width)
         colours = self._smooth[index][rows, columns]
-        ways = _directions(camera, rows, columns)
+        ways = ray_directions(camera, columns + 0.5, rows + 0.5)
         open_ = ~self._is_explained(index, ways, colours, depths)
         ways, colours, pixels = ways[open_], colours[open_], pixels[open_]
         points = camera_centre(camera) + ways[:, None] * depths[:, None]
@@ -196,12 +196,6 @@ def _spread(mask: BoolArray, stride: int) -> IntArray:
     grid = np.zeros_like(mask)
     grid[stride // 2 :: stride, stride // 2 :: stride] = True
     return np.flatnonzero(mask & grid)
-
-
-def _directions(camera: Camera, rows: IntArray, columns: IntArray) -> F64:
-    """Directions (P, 3) through the centres of pixels, of depth 1."""
-    x, y = ray_slopes(camera, columns + 0.5, rows + 0.5)
-    return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
 
 
 def _thin(ends: _Ends, most: int) -> _Ends:

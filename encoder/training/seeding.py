@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, camera_centre, in_camera, in_picture, ray_slopes, turned
+from decogs.formats.cameras import Camera, camera_centre, in_camera, in_picture, ray_directions
 from decogs.formats.splats import FloatArray, Splats, empty_splats, round_splats
 from decogs.rig.numerics import bilinear
 from decogs.rig.parallel import Each, side_by_side
@@ -257,11 +257,12 @@ class _Search:
         return [_take(joined, slice(at, at + size)) for at in range(0, count, max(1, size))]
 
     def _rays_of(self, index: int, view: SearchView, pixels: IntArray) -> _Rays:
+        rows, columns = np.divmod(pixels, view.camera.width)
         return _Rays(
             np.full(len(pixels), index),
             pixels,
             np.broadcast_to(camera_centre(view.camera), (len(pixels), 3)),
-            _directions(view.camera, pixels),
+            ray_directions(view.camera, columns + 0.5, rows + 0.5),
             view.surface(pixels),
             view.picture.reshape(3, -1).T[pixels],
             self._smooth[index].pixels(pixels),
@@ -384,13 +385,6 @@ def _difference(view: SearchView, rows: slice, columns: slice) -> FloatArray:
 def _far_first(index: int, count: int) -> list[int]:
     """All views, with directions unlike that of ``index`` early: neighbouring views carve little."""
     return sorted(range(count), key=lambda i: ((i - index) * 5 % count, i))
-
-
-def _directions(camera: Camera, pixels: IntArray) -> NDArray[np.float64]:
-    """Directions (P, 3) through the centres of pixels (flat indices), of depth 1."""
-    rows, columns = np.divmod(pixels, camera.width)
-    x, y = ray_slopes(camera, columns + 0.5, rows + 0.5)
-    return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
 
 
 def _project(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_directions
 
 from ..parallel import Each
 from ..stage.stage import PlainStage
@@ -383,8 +383,7 @@ def _grid_rays(camera: Camera) -> tuple[F64, F64]:
         (np.arange(n) + 0.5) / n * size for n, size in zip(_GRID_SIZE, (camera.width, camera.height), strict=True)
     )
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    x, y = ray_slopes(camera, grid[:, 0], grid[:, 1])
-    return grid, turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
+    return grid, ray_directions(camera, grid[:, 0], grid[:, 1])
 
 
 def _or_none(value: float, specification: str, unit: str) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from decogs.decoder.cameras.lens import Undistortion
 from decogs.decoder.subject.hull import Hull
-from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_directions
 from decogs.formats.colours.srgb import LUMA
 from decogs.formats.splats import FloatArray
 
@@ -205,7 +205,8 @@ def _subject_share(stage: PlainStage, view: _Shown) -> float:
     """Share of the picture that differs from the plate and lies in the hull: no shadow, no gap."""
     subject = subject_pixels(view.picture, view.plate) & view.recorded
     row, column = _sampled(subject)
-    stands = ~stage.on_backdrop(first_met(stage, camera_centre(view.camera), _rays(view.camera, row, column)))
+    rays = ray_directions(view.camera, column + 0.5, row + 0.5)
+    stands = ~stage.on_backdrop(first_met(stage, camera_centre(view.camera), rays))
     return float(subject[view.recorded].mean() * stands.mean()) if len(stands) else 0.0
 
 
@@ -214,12 +215,6 @@ def _sampled(pixels: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.i
     row, column = np.nonzero(pixels)
     step = max(1, len(row) // _SAMPLES)
     return row[step // 2 :: step], column[step // 2 :: step]
-
-
-def _rays(camera: Camera, row: NDArray[np.int64], column: NDArray[np.int64]) -> F64:
-    """World directions (N, 3) of a pinhole's pixels, at unit depth."""
-    x, y = ray_slopes(camera, column + 0.5, row + 0.5)
-    return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
 
 
 def _shadow(stage: PlainStage, shown: Sequence[_Shown]) -> float:
@@ -287,7 +282,7 @@ def _key(stage: PlainStage, shown: Sequence[_Shown], backdrop: FloatArray) -> Ke
 def _inner_colours(stage: PlainStage, view: _Shown, core: NDArray[np.bool_]) -> FloatArray:
     """Some colours (N, 3) that a view shows of what is in the hull, without the backdrop seen through its gaps."""
     row, column = _sampled(core & view.recorded)
-    rays, centre = _rays(view.camera, row, column), camera_centre(view.camera)
+    rays, centre = ray_directions(view.camera, column + 0.5, row + 0.5), camera_centre(view.camera)
     colours = view.picture[row, column]
     behind = first_met(replace(stage, hull=Hull([])), centre, rays)
     backdrop = surface_colours(stage.views, behind, stage.surfaces.middle - behind)

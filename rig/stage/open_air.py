@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.subject.hull import BoolArray, Hull, SubjectView
-from decogs.formats.cameras import camera_centre, ray_slopes, rig_extent, turned
+from decogs.formats.cameras import camera_centre, ray_directions, rig_extent, turned
 from decogs.formats.geometry.up_direction import up_of
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
@@ -298,8 +298,7 @@ def _axes(seen: Sequence[StageView]) -> NDArray[np.float64]:
 def _directions(view: StageView) -> NDArray[np.float64]:
     """Unit directions (H * W, 3) of the pixels, in the world."""
     rows, columns = np.indices(view.recorded.shape).reshape(2, -1) + 0.5
-    ways = np.stack([*ray_slopes(view.camera, columns, rows), np.ones(rows.size)], axis=1)
-    ways = turned(view.camera.world_to_camera[:3, :3].T, ways)
+    ways = ray_directions(view.camera, columns, rows)
     return np.asarray(ways / np.linalg.norm(ways, axis=1)[:, None])
 
 

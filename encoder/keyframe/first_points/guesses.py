@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .agreement import depth_ratio
 from .cloud import Cloud, ViewDepths, empty_cloud, join, look_from_all, take, too_near
 from .depth_filling import continues, fill_depths
 from .frusta import DepthRange, rig_size
@@ -123,31 +124,20 @@ def _known_depths(view_depths: ViewDepths, cloud: Cloud) -> Array:
 
 
 def _at_border(view: SweepView, cloud: Cloud) -> NDArray[np.bool_]:
-    """Points (P,) of a view that lie at the border of what its lens recorded."""
+    """Which of a view's own points (P,) lie at the border of what its lens recorded."""
     assert view.recorded is not None
     framed = np.pad(view.recorded.astype(np.uint8), 1)
     distance = cv2.distanceTransform(framed, cv2.DIST_C, cv2.DIST_MASK_3)[1:-1, 1:-1]
-    u, v, _ = project(view, cloud.xyz)
-    return np.asarray(distance[_nearest_pixels(view, u, v)] <= _BORDER_WIDTHS * view.width)
+    column, row = (np.round(each).astype(np.int64) for each in project(view, cloud.xyz)[:2])
+    return np.asarray(distance[row, column] <= _BORDER_WIDTHS * view.width)
 
 
 def _hangs_before(cloud: Cloud, surfaces: Sequence[tuple[ViewDepths, Array]]) -> NDArray[np.bool_]:
     """Points (P,) well before the surface of some view: inverse depths (H, W), known and continued; 0 without any."""
     before = np.zeros(len(cloud), np.bool_)
     for view_depths, inverse_depths in surfaces:
-        u, v, depth = project(view_depths.view, cloud.xyz)
-        seen = inside(view_depths.view, u, v) & (depth > 0)
-        surface = inverse_depths[_nearest_pixels(view_depths.view, u, v)]
-        before |= seen & (surface > 0) & (depth * surface < _BEFORE_SURFACE)
+        before |= depth_ratio(view_depths.view, inverse_depths, cloud.xyz)[0] < _BEFORE_SURFACE
     return before
-
-
-def _nearest_pixels(
-    view: SweepView, u: NDArray[np.float64], v: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns (P,), within the picture, nearest to positions in it."""
-    column, row = (np.nan_to_num(np.round(each)).astype(np.int64) for each in (u, v))
-    return np.clip(row, 0, view.height - 1), np.clip(column, 0, view.width - 1)
 
 
 def fill_empty_cells(
