@@ -26,11 +26,10 @@ BoolArray = NDArray[np.bool_]
 _ROUNDING_LEVELS = 1e-3
 """Added to tau, so that a difference of exactly tau is no change: pictures from 8-bit files differ by whole levels, up
 to float32 rounding of some 3e-5 levels."""
-_TRAINED_ERROR_QUANTILE = 0.9
-"""Of the pixels' errors in a fully trained picture; edges and glare exceed it."""
-_SUBJECT_ERROR_QUANTILE = 0.7
-"""The same of a subject alone, of the pixels that show some of it. With .9 a made stage's performers lose .5 dB where
-they move slowly; with all pixels, whose background has no error, performers who stand cost 5 kB a frame, now .8."""
+_TRAINED_ERROR_QUANTILE = 0.8
+"""Of the mean errors in a fully trained picture, which edges and glare exceed. With .9 a room loses .2 dB."""
+_ERROR_WINDOW_PIXELS = 3
+"""Side of the window whose mean error counts: fine texture that Gaussians leave out has none, what they smear has."""
 CLEAR_CHANGE_LEVELS = 25.0
 """The paper's tau; noise of a deviation of 14 levels changes half of the pixels by so much."""
 MAX_NOISE_FRACTION = 0.5
@@ -110,13 +109,18 @@ def faint_light_mask(current: FloatArray, previous: FloatArray, threshold: float
 
     Pictures are planar float32 (3, H, W), 0..1 for black to white.
     """
-    window = (_LIGHT_WINDOW_PIXELS, _LIGHT_WINDOW_PIXELS)
-    means = (cv2.blur(cv2.subtract(now, before), window) for now, before in zip(current, previous, strict=True))
-    largest = np.abs(next(means))
-    for mean in means:
-        cv2.max(largest, np.abs(mean), dst=largest)
-    mask: BoolArray = largest > np.float32(threshold / 255.0)
+    mask: BoolArray = _mean_difference(current, previous, _LIGHT_WINDOW_PIXELS) > np.float32(threshold / 255.0)
     return mask
+
+
+def _mean_difference(current: FloatArray, previous: FloatArray, window: int) -> FloatArray:
+    """Of the channel with most, the difference in the mean over a ``window`` around each pixel; (H, W)."""
+    differences = (cv2.subtract(now, before) for now, before in zip(current, previous, strict=True))
+    means = (np.abs(cv2.blur(difference, (window, window))) for difference in differences)
+    largest: FloatArray = next(means)
+    for mean in means:
+        cv2.max(largest, mean, dst=largest)
+    return largest
 
 
 def dilate(mask: BoolArray, radius: int) -> BoolArray:
@@ -168,16 +172,17 @@ class MaskMemory:
 
     ``recorded`` (H, W): where the pictures were, None meaning everywhere; nothing else is marked or counted.
     ``references``: pictures (3, H, W) that the next ones are compared with. ``previous``: those of the frame
-    before. ``blank``: whether the first picture shows nothing. ``trained_errors``: 8-bit levels, of a trained
-    picture; None where none is known. ``light_only``: light alone changed the frame before. ``relit``: in some
-    frame light changed more than steps follow. ``subject``: the pictures are of a subject alone, which has left where
-    all are of one colour: that is no dropout.
+    before. ``blank``: whether the first picture shows nothing. ``regions`` (H, W): all regions of interest since then.
+    ``trained_errors``: of a trained picture, 0 to 1; None where none is known. ``light_only``: light alone changed the
+    frame before. ``relit``: in some frame light changed more than steps follow. ``subject``: the pictures are of a
+    subject alone, which has left where all are of one colour: that is no dropout.
     """
 
     recorded: Sequence[BoolArray | None]
     references: Sequence[FloatArray]
     previous: Sequence[FloatArray]
     blank: Sequence[bool]
+    regions: Sequence[BoolArray]
     trained_errors: Sequence[float] | None = None
     light_only: bool = False
     relit: bool = False
@@ -197,12 +202,13 @@ class MaskMemory:
         recorded, errors = recorded or [None] * len(pictures), None
         if rendered is not None:
             with side_by_side(threads) as each:
-                errors = list(each(partial(_trained_error, subject=subject), pictures, rendered, recorded))
+                errors = list(each(_trained_error, pictures, rendered, recorded))
         return cls(
             recorded=recorded,
             references=tuple(pictures),
             previous=tuple(pictures),
             blank=[bool(blankness(picture)) for picture in pictures],
+            regions=[np.zeros(picture.shape[1:], bool) for picture in pictures],
             trained_errors=errors,
             subject=subject,
         )
@@ -264,24 +270,28 @@ class MaskMemory:
     ) -> MaskMemory:
         """After the regions of interest were trained; ``moved``: including positions.
 
-        ``rendered``: the scene's renderings, where training may have missed the pictures. Pixels with a larger error
-        than that of a trained picture keep their reference. ``relit``: light changed more than steps follow.
+        ``rendered``: the scene's renderings, where pixels that they miss are to be selected again, though they may
+        change no more: so far as some region of interest ever held them, and by more than a trained picture's error.
+        ``relit``: light changed more than steps follow.
         """
+        regions = [old | mask.dilated for old, mask in zip(self.regions, masks, strict=True)]
 
         def reference(index: int) -> FloatArray:
             now, mask, old = pictures[index], masks[index], self.references[index]
             if mask.lost:
                 return old
-            trained = mask.dilated
-            if rendered is not None and self.trained_errors is not None:
-                trained = trained & ~difference_mask(rendered[index], now, self.trained_errors[index])
-            return np.where(trained, now, old)
+            reference = np.where(mask.dilated, now, old)
+            if rendered is None or self.trained_errors is None:
+                return reference
+            shown = np.clip(rendered[index], 0, 1)
+            missed = _mean_difference(shown, now, _ERROR_WINDOW_PIXELS) > self.trained_errors[index]
+            return np.where(missed & regions[index], shown, reference)
 
         with side_by_side(threads) as each:
             references = list(each(reference, range(len(masks))))
         faint_light = float(np.median([mask.faint_light for mask in masks]))
         light_only = not moved and faint_light > _MIN_LIGHT_ONLY_FRACTION
-        return replace(self, references=references, light_only=light_only, relit=self.relit or relit)
+        return replace(self, references=references, regions=regions, light_only=light_only, relit=self.relit or relit)
 
     def advance(
         self,
@@ -372,15 +382,11 @@ def _dilated(mask: BoolArray, settings: MaskSettings) -> BoolArray:
     return dilate(mask, settings.radius(mask.shape[1]))
 
 
-def _trained_error(
-    picture: FloatArray, rendered: FloatArray, recorded: BoolArray | None, *, subject: bool = False
-) -> float:
-    """Error, in 8-bit levels, that a tenth of the recorded pixels of a fully trained picture (3, H, W) exceed.
+def _trained_error(picture: FloatArray, rendered: FloatArray, recorded: BoolArray | None) -> float:
+    """Mean error around a pixel that a fifth of the recorded ones of a fully trained picture (3, H, W) exceed, 0 to 1.
 
-    Of a ``subject`` alone, three tenths of those that show some of it.
+    Of pixels without any error, such as those around a subject, there may be any number.
     """
-    error = np.abs(np.clip(rendered, 0, 1) - picture).max(axis=0)
-    error = error if recorded is None else error[recorded]
-    if subject and error.any():
-        return 255 * float(np.quantile(error[error > 0], _SUBJECT_ERROR_QUANTILE))
-    return 255 * float(np.quantile(error, _TRAINED_ERROR_QUANTILE))
+    error = _mean_difference(np.clip(rendered, 0, 1), picture, _ERROR_WINDOW_PIXELS)
+    error = error[error > 0] if recorded is None else error[recorded & (error > 0)]
+    return float(np.quantile(error, _TRAINED_ERROR_QUANTILE)) if error.size else 0.0

@@ -101,10 +101,11 @@ def add_emerging_in_time(
 
 
 def _find_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float) -> Splats:
-    """Seeds of emerging objects; a third of the views decides whether to search in all."""
+    """Seeds of emerging objects, as far as there is room; a third of the views decides whether to search in all."""
     training.seen.check()
     settings, degree = training.settings.emergence, work.values.sh_degree
-    if settings.max_seeds <= 0:
+    most = min(settings.max_seeds, training.context.max_gaussians - work.population)
+    if most <= 0:
         return empty_splats(degree)
     threads = training.context.threads
     searched: dict[int, SearchView] = {}
@@ -118,7 +119,7 @@ def _find_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[in
             misses |= zip(new, each(missed_pixels, map(searched.__getitem__, new)), strict=True)
         if not enough_missed_pixels(list(misses.values())):
             return empty_splats(degree)
-    fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
+    fewer = replace(settings, max_seeds=most, max_rays=max(1, round(rays * settings.max_rays)))
     return find_seeds([searched[i] for i in views], [misses[i] for i in views], fewer, degree, threads=threads)
 
 

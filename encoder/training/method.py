@@ -27,7 +27,7 @@ GROW_GRADIENT = 1e-4
 """Mean view gradient from which a Gaussian is cloned or split (the paper's tau_d)."""
 
 MAX_GROWTH = 1.25
-"""Bound of the scene's size by clones and splits, as a multiple of the keyframe's. Without it long streams keep
+"""Bound of the scene's size in later frames, as a multiple of the keyframe's. Without it long streams keep
 growing: the tests' scene from 2 500 Gaussians to 18 000 in a thousand frames, which costs 2 dB."""
 
 
@@ -36,7 +36,7 @@ class TrainingContext:
     """Constants of a stream's training.
 
     ``views``: the training views. ``static_views``: their renderings of the scene, updated by the loop; empty for a
-    dense method. ``population``: Gaussians of the keyframe. ``max_gaussians``: bound for clones and splits;
+    dense method. ``population``: Gaussians of the keyframe. ``max_gaussians``: bound of later frames;
     ``grow_gradient``: mean view gradient from which there are any. ``extent``: size of the rig, world units; position
     rates scale with it. ``box``: corners (3,) around the scene, the domain of a transformation cache. ``threads``: at
     least 1; results do not depend on it.

@@ -201,7 +201,9 @@ def test_no_view_may_be_empty_of_depth_to_fail(appeared: list[SearchView]) -> No
     assert np.isfinite(find_seeds(bare, SETTINGS, 0).means).all()
 
 
-def trained(kernel: CpuKernel, wall: Splats, shown: Splats, emergence: EmergenceSettings) -> tuple[Splats, float]:
+def trained(
+    kernel: CpuKernel, wall: Splats, shown: Splats, emergence: EmergenceSettings, **other: Any
+) -> tuple[Splats, float]:
     """The Gaussians a frame adds, and the mean square error it ends with."""
     views = [View(camera, camera, None) for camera in cameras()]
     pictures = [kernel.forward(shown, view.pinhole).rgb for view in views]
@@ -212,7 +214,7 @@ def trained(kernel: CpuKernel, wall: Splats, shown: Splats, emergence: Emergence
     for watching in watch:
         watching.set_scene(wall)
         watching.redraw()
-    trainer = sparse_trainer(kernel, views, watch, settings, box=box)
+    trainer = sparse_trainer(kernel, views, watch, settings, box=box, **other)
     selected = np.abs(wall.means[:, 0]) < 0.1
     frame = train(
         trainer,
@@ -242,6 +244,13 @@ def test_a_trained_frame_shows_the_new_object(kernel: CpuKernel, wall: Splats) -
     assert error < 0.25 * without  # 6 dB
     # Seeds that faded while training are left out.
     assert (added.opacity_logits > np.log(FrameSettings().prune_opacity)).all()
+
+
+@pytest.mark.parametrize("room", [0, 40])
+def test_the_scene_never_outgrows_its_bound(kernel: CpuKernel, wall: Splats, room: int) -> None:
+    added, _ = trained(kernel, wall, join_splats(wall, sphere()), SETTINGS, max_gaussians=len(wall) + room)
+    assert len(added) <= room
+    assert (len(added) > 0) == (room > 0)
 
 
 def test_a_trained_frame_without_anything_new_adds_nothing(kernel: CpuKernel, wall: Splats) -> None:

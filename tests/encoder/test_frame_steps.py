@@ -245,12 +245,14 @@ def committed(
     relit: bool = False,
     rejected: bool = False,
     replayed: Any = None,
+    first_frame: int = 0,
     **budgets: Any,
 ) -> tuple[Memory, Masks]:
     masks: Any = Masks()
     states = ((state_of(3), "old"), (state_of(3, *([] if rejected else [1])), "new"))
     before, after = (Stub(state=state, splats=name) for state, name in states)
     after.displacements = lambda _: np.full((3, 3), 8, np.float32)
+    before.header = Stub(first_frame=first_frame)
     context = Stub(settings=DRAFT, corrector=None, threads=1)
     plan = FramePlan([EVERYWHERE], np.ones(3, bool), ("motion",), DRAFT.frame, relit=relit, deferred=deferred)
     memory = memory_of(masks=masks, views=Stub(pictures=lambda splats: f"pictures of {splats}"), **budgets)
@@ -267,7 +269,13 @@ def test_a_segments_first_frame_leaves_no_velocity() -> None:
 
 
 @pytest.mark.parametrize(
-    ("how", "rendered"), [({"truncated": True}, "pictures of new"), ({"relit": True}, "pictures of new"), ({}, None)]
+    ("how", "rendered"),
+    [
+        ({"truncated": True}, "pictures of new"),
+        ({"relit": True}, "pictures of new"),
+        ({"first_frame": -3}, "pictures of new"),
+        ({}, None),
+    ],
 )
 def test_what_training_may_have_missed_is_compared_with_what_came_of_it(how: Any, rendered: str | None) -> None:
     assert committed(**how)[1].given == {

@@ -137,7 +137,7 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     masks: Any = SimpleNamespace(trained=trained, advance=lambda *_, **__: masks)
     stub: Any = SimpleNamespace
     memory = Memory(stub(), masks, Motion.at_rest(len(state)), None, None, None, stub())
-    before: Any = stub(state=state, splats=None)
+    before: Any = stub(state=state, splats=None, header=stub(first_frame=0))
     after: Any = stub(
         state=replace(state, frame=1, sh=state.sh + 1) if changed else replace(state, frame=1),
         splats=None,
@@ -145,7 +145,7 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     )
     context = stub(settings=preset("draft"), corrector=None, threads=1)
     plan = FramePlan([stub(dilated=None)], np.ones(3, bool), effects, preset("draft").frame)
-    shown: Any = stub(training=[])
+    shown: Any = stub(training=[], index=1)
     frame = PendingFrame(shown, shown, {}, before, memory)
     next_memory(context, frame, plan, after, stub(truncated=False), stub(), Stopwatch())
     assert told == (["motion" in effects] if changed else [])

@@ -72,8 +72,10 @@ GREY = np.full((3, *SIZE), 0.5, np.float32)
 def test_what_was_not_recorded_is_no_change_and_no_part_of_a_share() -> None:
     settings, now = MaskSettings(threshold=10.0, radius_fraction=0.1), GREY.copy()
     now[:, :, 20:] += 0.2
-    memory = MaskMemory.begin([GREY], [GREY + np.where(RECORDED, 0.02, 0.5)], recorded=[RECORDED])
-    assert memory.trained_errors == pytest.approx([0.02 * 255], rel=1e-3)
+    memory = MaskMemory.begin(
+        [GREY], [GREY + np.where(RECORDED, np.float32(0.02), np.float32(0.5))], recorded=[RECORDED]
+    )
+    assert memory.trained_errors == pytest.approx([0.02], rel=1e-3)
     changes = memory.pixel_changes([now], settings)
     np.testing.assert_array_equal(changes[0].raw.any(axis=0), (np.arange(64) >= 20) & (np.arange(64) < 32))
     (mask,) = memory.masks([now], changes, settings)

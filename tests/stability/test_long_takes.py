@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +19,18 @@ from encode_rig import encode_rig
 from stages.make import write_stage
 from stages.scenes import cameras
 
-FRAMES, SIZE, LEFT_OUT = 300, (72, 96), "cam05"
-VIEWS = (0, 2, 4, 5, 6, 8, 10, 12, 14)
+FRAMES, SIZE, LEFT_OUT = 300, (72, 96), ("cam05", "cam11")
 EARLY, SLOW, LAST = slice(15, 26), slice(165, 186), slice(289, 300)
 """Frames that are compared: in the middle ones performers are slowest."""
-MAX_BELOW_KEYFRAME = 0.5
-"""dB. These keyframes have 28.5 to 29.5 dB, later frames of the stream 32."""
+TAKES = {"mattes": "take", "plain stage": "take", "room": "home"}
 MAX_FALL = 1.0
-"""dB. Where pixels that training missed were not selected again, sixteen cameras lost 5 dB in the slow frames."""
-MARGIN = 50
-"""Gaussians that new objects may get above the bound of growth in a single frame."""
+"""dB from early frames to slow ones. Where what training missed was not selected again, a plain stage lost 4 dB."""
 MAX_CPU_RATIO = 1.25
-"""Of the last frames' CPU-s to early ones: .97, on a machine whose other programs change it by a tenth."""
-MAX_MEMORY_GROWTH = 20_000
-"""Bytes a frame: 12 000, mostly reports. Nine pictures have 750 000."""
+"""Of the last frames' CPU-s to early ones: .87 to 1.05, on a machine whose other programs change it by a tenth."""
+MAX_MEMORY_GROWTH = 30_000
+"""Bytes a frame: 5 000 to 17 000, mostly reports. A frame's pictures have 1 160 000."""
 OPTIONS: dict[str, Any] = {
-    "holdout": [LEFT_OUT],
+    "holdout": LEFT_OUT,
     "effects": "motion,appearance_change,emergence,disappearance,view_dependence",
     "threads": 1,
 }
@@ -53,10 +51,20 @@ class Observed(EncodeObserver):
         return float(np.mean([getattr(report, name) for report in self.reports[frames]]))
 
 
+@pytest.fixture(scope="module")
+def rigs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Makes a stage's take, once."""
+    return cache(lambda name: write_stage(name, tmp_path_factory.mktemp("rigs") / name, cameras(SIZE), FRAMES))
+
+
 @pytest.mark.slow
-def test_ten_seconds_of_performers_lose_no_quality_and_nothing_grows(tmp_path: Path) -> None:
-    rig = write_stage("take", tmp_path / "take", [cameras(SIZE)[view] for view in VIEWS], FRAMES)
-    options = {"mattes": MatteChoice(masks=rig / "truth/mattes"), **OPTIONS}
+@pytest.mark.parametrize(("take", "below_keyframe"), [("mattes", 0.5), ("plain stage", 1.0), ("room", 0.5)])
+def test_ten_seconds_lose_no_quality_and_nothing_grows(
+    tmp_path: Path, rigs: Callable[[str], Path], take: str, below_keyframe: float
+) -> None:
+    rig, options = rigs(TAKES[take]), dict(OPTIONS)
+    if take == "mattes":
+        options["mattes"] = MatteChoice(masks=rig / "truth/mattes")
     seen = Observed()
     encode_rig(rig, tmp_path / "take.dgs", "live", progress=seen, **options)
     for frame in range(0, FRAMES, 20):
@@ -69,9 +77,9 @@ def test_ten_seconds_of_performers_lose_no_quality_and_nothing_grows(tmp_path: P
         assert keyframe is not None
         assert later is not None
         print(f"{frame}: {later:.2f} dB, its own keyframe {keyframe:.2f}")
-        assert later > keyframe - MAX_BELOW_KEYFRAME
+        assert later > keyframe - below_keyframe
     assert seen.mean("training_psnr", SLOW) > seen.mean("training_psnr", EARLY) - MAX_FALL
-    assert max(report.gaussians for report in seen.reports) <= round(MAX_GROWTH * seen.reports[0].gaussians) + MARGIN
+    assert max(report.gaussians for report in seen.reports) <= round(MAX_GROWTH * seen.reports[0].gaussians)
     assert seen.mean("cpu_seconds", LAST) < MAX_CPU_RATIO * seen.mean("cpu_seconds", EARLY)
     growth = float(np.median(seen.memory[-50:]) - np.median(seen.memory[50:100])) / (FRAMES - 100)
     print(f"{growth:.0f} bytes a frame")
