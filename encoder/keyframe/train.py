@@ -58,8 +58,8 @@ _PREALIGNMENT_STEPS = 100
 _CLEAR_EVERY_STEPS = 50
 """Steps after which a stage's free space is cleared."""
 
-_SEARCH_SHARE, _SEARCH_STEPS = 1 / 3, 50
-"""Share of the schedule, and steps at least, after which what is still missed has no Gaussian near."""
+_SEARCH_STEPS = 50
+"""Steps at least before what is still missed has no Gaussian near."""
 
 _BACKGROUNDS_SPREAD = 1.5
 """By which the loss of a round over some backgrounds may exceed that over others, of the same Gaussians."""
@@ -74,7 +74,8 @@ class Tuning:
 
     ``grow_begin``, ``grow_end``: shares of the schedule between which Gaussians are added: later ones are not trained
     to the end. ``grow_gradient``: mean view gradient from which a Gaussian is split, ``prune_opacity``: below which one
-    is removed (both 3DGS's). ``max_stretch``: largest ratio of a Gaussian's largest to its middle size: needles are
+    is removed (both 3DGS's). ``search_at``: share of the schedule after which what views miss gets Gaussians, above 1 for
+    never. ``max_stretch``: largest ratio of a Gaussian's largest to its middle size: needles are
     wrong from other viewpoints. ``patience_checks``: checks without a new best after which training stops: the score of
     few tiles is noisy. ``rates``: step sizes at the start, two to four times 3DGS's, since a keyframe has a twentieth
     of its steps; that of means is in units of the rig's extent. ``means_decay``, ``late_decay``: what is left of them
@@ -85,6 +86,7 @@ class Tuning:
     grow_end: float = 0.6
     grow_gradient: float = 2e-4
     prune_opacity: float = 0.005
+    search_at: float = 1 / 3
     max_stretch: float = 10.0
     patience_checks: int = 4
     rates: LearningRates = LearningRates(  # noqa: RUF009 (frozen)
@@ -485,7 +487,7 @@ class _KeyframeTraining:
         settings, tuning, progress = self._settings, self._tuning, step / self._settings.iterations
         if (step + 1) % _CLEAR_EVERY_STEPS == 0:
             self._clear_free_space()
-        if step + 1 == max(_SEARCH_STEPS, round(_SEARCH_SHARE * settings.iterations)):
+        if step + 1 == max(_SEARCH_STEPS, round(tuning.search_at * settings.iterations)):
             self._add_missed()
         if (step + 1) % settings.grow_every or not tuning.grow_begin < progress < tuning.grow_end:
             return
