@@ -41,6 +41,7 @@ from .border_extrapolation import border_extrapolation
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints
 from .large_pictures import PictureFit, fit_to_pictures, shrunk_camera, shrunk_weights, unscaled_schedule
+from .missed_surfaces import missed_surfaces
 
 _START_OPACITY, _START_SIGMA_SPACINGS = 0.2, 0.5
 """Of the first Gaussians; sigma in units of the points' spacing."""
@@ -57,6 +58,9 @@ _PREALIGNMENT_STEPS = 100
 _CLEAR_EVERY_STEPS = 50
 """Steps after which a stage's free space is cleared."""
 
+_SEARCH_STEPS = 50
+"""Steps at least before what is still missed has no Gaussian near."""
+
 _BACKGROUNDS_SPREAD = 1.5
 """By which the loss of a round over some backgrounds may exceed that over others, of the same Gaussians."""
 
@@ -70,7 +74,8 @@ class Tuning:
 
     ``grow_begin``, ``grow_end``: shares of the schedule between which Gaussians are added: later ones are not trained
     to the end. ``grow_gradient``: mean view gradient from which a Gaussian is split, ``prune_opacity``: below which one
-    is removed (both 3DGS's). ``max_stretch``: largest ratio of a Gaussian's largest to its middle size: needles are
+    is removed (both 3DGS's). ``search_at``: share of the schedule after which what views miss gets Gaussians, above 1 for
+    never. ``max_stretch``: largest ratio of a Gaussian's largest to its middle size: needles are
     wrong from other viewpoints. ``patience_checks``: checks without a new best after which training stops: the score of
     few tiles is noisy. ``rates``: step sizes at the start, two to four times 3DGS's, since a keyframe has a twentieth
     of its steps; that of means is in units of the rig's extent. ``means_decay``, ``late_decay``: what is left of them
@@ -81,6 +86,7 @@ class Tuning:
     grow_end: float = 0.6
     grow_gradient: float = 2e-4
     prune_opacity: float = 0.005
+    search_at: float = 1 / 3
     max_stretch: float = 10.0
     patience_checks: int = 4
     rates: LearningRates = LearningRates(  # noqa: RUF009 (frozen)
@@ -481,6 +487,8 @@ class _KeyframeTraining:
         settings, tuning, progress = self._settings, self._tuning, step / self._settings.iterations
         if (step + 1) % _CLEAR_EVERY_STEPS == 0:
             self._clear_free_space()
+        if step + 1 == max(_SEARCH_STEPS, round(tuning.search_at * settings.iterations)):
+            self._add_missed()
         if (step + 1) % settings.grow_every or not tuning.grow_begin < progress < tuning.grow_end:
             return
         self._check_finite()
@@ -502,6 +510,26 @@ class _KeyframeTraining:
         self._optimiser.keep(np.concatenate([keep, np.ones(len(parents), bool)]))
         if not len(self._optimiser):
             raise TrainingError("every Gaussian became transparent; the pictures and poses contradict each other")
+        self._view_gradients = self._kernel.view_gradients(len(self._optimiser))
+
+    def _add_missed(self) -> None:
+        """Adds Gaussians where views agree on a surface that none shows, if need be in place of the faintest.
+
+        A closed stage's hull has given its points before.
+        """
+        if self._stage is not None and self._stage.is_closed:
+            return
+        count = len(self._optimiser)
+        missed = missed_surfaces(self._kernel, self._optimiser, count, self._views, self._pictures)
+        if self._stage is not None:
+            missed = take_splats(missed, ~self._stage.free(missed.means))
+        if not len(missed):
+            return
+        room = self._settings.seen_cap - count
+        if room < len(missed):
+            opaque_first = np.argsort(-self._optimiser.splats.opacity_logits, kind="stable")
+            self._optimiser.keep(np.sort(opaque_first[: self._settings.seen_cap - len(missed)]))
+        self._optimiser.append(missed)
         self._view_gradients = self._kernel.view_gradients(len(self._optimiser))
 
     def validation_psnr(self, step: int) -> float:

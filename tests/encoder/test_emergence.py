@@ -9,10 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.decoder.subject.hull import BoolArray
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import FrameMask
+from decogs.encoder.keyframe.first_points import FirstPoints
+from decogs.encoder.keyframe.missed_surfaces import missed_surfaces
+from decogs.encoder.keyframe.train import train_keyframe
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
+from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.training import seeding
 from decogs.encoder.training.seeding import SearchView, enough_missed_pixels, missed_pixels
 from decogs.formats.cameras import Camera
@@ -22,6 +27,9 @@ from decogs.rig.pictures.ingest import View
 from one_frame import sparse_trainer, train
 
 SETTINGS = EmergenceSettings()
+KEYFRAME = KeyframeSettings(
+    iterations=240, cap=4500, grow_every=1000, validation_fraction=0.0, settle_iterations=0, sh_degree=0
+)
 CENTRE, RADIUS = np.array([0.1, -0.05, -0.2]), 0.28
 WIDTH, HEIGHT = 128, 96
 
@@ -275,3 +283,38 @@ def test_a_picture_smoothed_where_it_is_asked_for_is_the_one_smoothed_whole(widt
         assert np.array_equal(smoothed.pixels(pixels), whole.reshape(-1, 3)[pixels])
     few = seeding._Smoothed(camera, lambda rows, columns: planes[:, rows, columns])
     assert np.array_equal(few.between(u[:1], v[:1]), bilinear(whole, u[:1], v[:1]))
+
+
+def points_of(scene: Splats) -> FirstPoints:
+    rgb, spacing = 0.5 + SH_C0 * scene.sh[:, 0], np.exp(scene.log_scales[:, 0]) * 2
+    everywhere = np.ones(len(scene), bool)
+    return FirstPoints(scene.means, rgb, spacing, everywhere.astype(np.float32), everywhere[None], everywhere)
+
+
+def keyframe(wall: Splats, shown: Splats, **settings: Any) -> Splats:
+    kernel, views = CpuKernel(2), [View(camera, camera, None) for camera in cameras()]
+    pictures = [kernel.forward(shown, view.pinhole).rgb.copy() for view in views]
+    return train_keyframe(kernel, views, pictures, points_of(wall), replace(KEYFRAME, **settings), seed=0).splats
+
+
+def on_sphere(scene: Splats) -> BoolArray:
+    return np.asarray(np.abs(np.linalg.norm(scene.means - CENTRE, axis=1) - RADIUS) < 0.3 * RADIUS)
+
+
+@pytest.mark.parametrize("cap", [4500, 3500], ids=["room", "none"])
+def test_a_thing_without_first_points_is_found(wall: Splats, cap: int) -> None:
+    scene = keyframe(wall, join_splats(wall, sphere()), cap=cap)
+    assert len(scene) <= cap
+    assert on_sphere(scene).sum() > 100
+    early = keyframe(wall, join_splats(wall, sphere()), cap=cap, iterations=40)
+    assert on_sphere(early).sum() < 0.3 * on_sphere(scene).sum(), "a schedule that is so short searches for nothing"
+
+
+def test_where_nothing_is_missed_nothing_is_added(wall: Splats) -> None:
+    kernel, views = CpuKernel(2), [View(camera, camera, None) for camera in cameras()]
+    pictures = [kernel.forward(wall, view.pinhole).rgb.copy() for view in views]
+    assert len(missed_surfaces(kernel, wall, len(wall), views, pictures)) == 0
+    with_ball = [kernel.forward(join_splats(wall, sphere()), view.pinhole).rgb.copy() for view in views]
+    found = missed_surfaces(kernel, wall, len(wall), views, with_ball)
+    assert len(found) > 100
+    assert len(missed_surfaces(kernel, wall, 400 * len(found), views, with_ball)) == 0, "too few to be something"

@@ -11,12 +11,20 @@ from numpy.typing import NDArray
 
 from decogs.encoder.keyframe.first_points import FirstPoints, first_points
 from decogs.encoder.keyframe.first_points.agreement import agree
-from decogs.encoder.keyframe.first_points.cloud import Cloud, ViewDepths, neighbour_distances, spread_to_count, too_near
+from decogs.encoder.keyframe.first_points.cloud import (
+    Cloud,
+    ViewDepths,
+    neighbour_distances,
+    spread_to_count,
+    take,
+    too_near,
+)
 from decogs.encoder.keyframe.first_points.depth_filling import continues, fill_depths
-from decogs.encoder.keyframe.first_points.frusta import DepthRange, shared_depths
+from decogs.encoder.keyframe.first_points.frusta import DepthRange, shared_depths, upward
+from decogs.encoder.keyframe.first_points.guesses import guess_points, random_in_frustum
 from decogs.encoder.keyframe.first_points.plane_sweep import DepthMap, choose_planes, sweep
 from decogs.encoder.keyframe.first_points.views import inside, make_view, pixel_rays, project
-from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.cameras import Camera, camera_centre, scale_camera
 from decogs.formats.errors import TrainingError
 
 WIDTH, HEIGHT, FOCAL = 128, 96, 120.0
@@ -175,6 +183,26 @@ def test_arrangements(degrees: Sequence[float], share: float, pixels: float) -> 
     assert np.abs(points.xyz).max() < 3 * 4.0  # guesses too stay near the room, whose wall is 4 from its middle
 
 
+@pytest.mark.parametrize("degrees", [range(0, 360, 45), (0, 50, 100, 150)], ids=["all round", "half round"])
+def test_far_apart_a_floor_is_found_by_level_planes(degrees: Sequence[float]) -> None:
+    """Planes that face the camera alone put .89 and .87 of the points on a surface, level ones too .98 and .95."""
+    cameras = ring(degrees)
+    points = first_points(cameras, photograph_all(cameras), cap=4000)
+    confirmed = points.seen.any(axis=0)
+    assert confirmed.sum() > 3000
+    assert (distance_to_surface(points.xyz[confirmed]) < 2 * 3.0 / FOCAL).mean() > 0.93
+
+
+def test_cameras_on_their_sides_sweep_no_level_planes() -> None:
+    upright = [make_view(camera, np.zeros((HEIGHT, WIDTH, 3), np.float32), 1.0) for camera in ring((0, 90, 180, 270))]
+    np.testing.assert_allclose(upward(upright), (0, 0, 1), atol=1e-6)
+    turned = [
+        replace(view, rotation=np.array([[0, sign, 0], [-sign, 0, 0], [0, 0, 1]]) @ view.rotation)
+        for view, sign in zip(upright, (1, -1, 1, -1), strict=True)
+    ]
+    assert upward(turned) is None
+
+
 @pytest.mark.parametrize("cap", [1, 37, 800])
 def test_never_more_points_than_there_is_room_for(cap: int, arc_pictures: list[Picture]) -> None:
     points = first_points(ARC[:3], arc_pictures[:3], cap=cap)
@@ -206,6 +234,29 @@ def test_pictures_without_texture_get_guesses_in_the_shared_space() -> None:
     assert 0 < len(points.xyz) <= 500
     assert np.isfinite(points.xyz).all()
     assert np.allclose(points.rgb, 0.5)
+
+
+def test_guesses_are_few_and_large_where_little_is_confirmed() -> None:
+    camera = scale_camera(ARC[4], 4)
+    view = make_view(camera, np.full((camera.height, camera.width, 3), 0.5, np.float32), 1.0)
+    cloud = random_in_frustum(view, DepthRange(3.0, 3.1), 5, np.random.default_rng(0))
+    row = np.arange(camera.height)[:, None] + np.zeros((1, camera.width))
+
+    def guesses(share: float, pixels: float) -> Cloud:
+        confirmed = np.where(row < share * camera.height, np.float32(1 / 3), np.float32(0))
+        shown = ViewDepths(view, DepthRange(2.0, 6.0), None, confirmed, 0.1)
+        every = guess_points(cloud, [shown], pixels, np.random.default_rng(1))[0]
+        return take(every, project(view, every.xyz)[1] > 0.7 * camera.height)
+
+    def apart(found: Cloud) -> float:
+        return float((0.3 * view.pixels / len(found)) ** 0.5)
+
+    little, enough = guesses(0.01, 1.0), guesses(0.4, 5.0)
+    assert 0.03 * view.pixels**0.5 < apart(little) < 0.05 * view.pixels**0.5
+    depth = project(view, little.xyz)[2]
+    np.testing.assert_allclose(little.spacing * FOCAL * 4 / depth, apart(little), rtol=0.1)
+    assert apart(guesses(0.2, 1.0)) < 0.7 * apart(little)
+    assert apart(enough) == pytest.approx(2.4 * 5, rel=0.1)
 
 
 def test_known_points_take_part_and_are_enough_for_one_camera(arc_pictures: list[Picture]) -> None:

@@ -83,7 +83,7 @@ def trained(
 ) -> Any:
     return train_keyframe(
         kernel or CpuKernel(2), case.views, case.pictures, first or points(), settings, seed=seed,
-        tuning=Tuning(**tuning),
+        tuning=Tuning(**{"search_at": 2.0, **tuning}),
     )  # fmt: skip
 
 

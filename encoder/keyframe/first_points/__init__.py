@@ -33,7 +33,17 @@ from .cloud import (
     thin_candidates,
     too_near,
 )
-from .frusta import DepthRange, choose_neighbours, depths_of, likely_points, points_within, rig_size, shared_depths
+from .frusta import (
+    DepthRange,
+    choose_neighbours,
+    depths_of,
+    likely_points,
+    median_angle,
+    points_within,
+    rig_size,
+    shared_depths,
+    upward,
+)
 from .guesses import guess_points
 from .plane_sweep import DepthMap, choose_planes, sweep
 from .views import Array, SweepView, inside, make_view, project
@@ -46,6 +56,8 @@ _COARSE_PIXELS = 14_000
 _MAX_PLANES = 128
 _VIEW_BYTES, _PLANE_BYTES = 100, 6
 """Of a pixel of the fine sweep: its view, depths and candidates; the costs of a plane, along rows and columns."""
+_WIDE_DEGREES = 20.0
+"""Angle to the nearest matched neighbour from which level planes are swept, too. Below, facing ones match better."""
 _MATCHED_NEIGHBOURS, _COMPARED_NEIGHBOURS = 4, 8
 """Neighbours for matching, and for checking the consistency of depths."""
 _CANDIDATES_PER_POINT = 3.0
@@ -207,12 +219,15 @@ def _sweep_all(
 ) -> tuple[list[Candidates], list[DepthMap | None]]:
     """Every view's candidates and depth map; no candidates and None for views without shared depths."""
     neighbours = choose_neighbours(views, samples, _COMPARED_NEIGHBOURS)
+    up = upward(views)
 
     def depth_map(i: int) -> DepthMap | None:
         depths, matched = ranges[i], [views[j] for j in neighbours[i][:_MATCHED_NEIGHBOURS]]
         if depths is None or not matched:
             return None
-        return sweep(views[i], matched, choose_planes(views[i], matched, depths, _MAX_PLANES))
+        beside = min(median_angle(samples[i], views[i], other) for other in matched)
+        planes = choose_planes(views[i], matched, depths, _MAX_PLANES)
+        return sweep(views[i], matched, planes, up if beside > _WIDE_DEGREES else None)
 
     def candidates(i: int) -> Candidates:
         own = maps[i]

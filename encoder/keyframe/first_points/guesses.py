@@ -23,6 +23,9 @@ CELL_PIXELS = 8
 """Side, in pixels, of picture cells, each of which gets a point."""
 _GUESS_SPACING = 2.4
 """Distance between guesses over that between confirmed points: more of them would not know their places better."""
+_DOUBTFUL_GUESS_SPACING = 0.04
+"""Least distance between guesses in a view in which nothing is confirmed, in units of its picture's size (the root of
+its pixels): where few cameras leave room for many guesses, these are fog for any other camera."""
 _SWEEP_DEPTH_FRACTION = 0.5
 """Share of the guesses at the unconfirmed depth of the view's own sweep, where it is plausible."""
 _SCATTER, _WIDE_SCATTER = 0.02, 0.5
@@ -154,10 +157,11 @@ def fill_empty_cells(
     inverse_depths = _known_depths(view_depths, cloud)
     filled = fill_depths(inverse_depths)
     doubt = 1 - min(1.0, np.count_nonzero(inverse_depths) / (_SUFFICIENT_FRACTION * view.pixels))
+    spacing = max(_GUESS_SPACING, _DOUBTFUL_GUESS_SPACING * doubt * view.pixels**0.5 / pixels)
     goes_on = continues(inverse_depths) if doubt == 0 else np.zeros(inverse_depths.shape, np.bool_)
     continued = _continued(view, empty, filled, goes_on, pixels, random) if goes_on.any() else empty_cloud()
 
-    column, row = _pixels_of(view, empty, min((CELL_PIXELS / (_GUESS_SPACING * pixels)) ** 2, 4.0), random)
+    column, row = _pixels_of(view, empty, min((CELL_PIXELS / (spacing * pixels)) ** 2, 4.0), random)
     column, row = column[~goes_on[row, column]], row[~goes_on[row, column]]
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
     inverse = filled[row, column] * np.exp(scatter * random.standard_normal(len(row)))
@@ -166,7 +170,7 @@ def fill_empty_cells(
         own = view_depths.swept[row, column]
         use = (random.random(len(row)) < _SWEEP_DEPTH_FRACTION) & (own > 0.8 * low) & (own < 1.1 * high)
         inverse[use] = own[use]
-    return continued, _guess(view, column, row, inverse, _GUESS_SPACING)
+    return continued, _guess(view, column, row, inverse, spacing)
 
 
 def _continued(

@@ -1,7 +1,11 @@
 """Depth of one view by plane sweep: photo-consistency on planes, semi-global aggregation, sub-plane depth.
 
-Source: plane sweep after Collins (1996) with planes evenly spaced in inverse depth, aggregation after Hirschmüller
-(2008), "Stereo processing by semi-global matching and mutual information", with four path directions.
+Planes face the camera. Where the other views stand far to the side, they see a floor under another angle, and no such
+plane matches it; then level planes are swept, too, and the cheaper depth is a pixel's.
+
+Sources: plane sweep after Collins (1996) with planes evenly spaced in inverse depth; level planes after Gallup (2007),
+"Real-time plane-sweeping stereo with multiple sweeping directions"; aggregation after Hirschmüller (2008), "Stereo
+processing by semi-global matching and mutual information", with four path directions.
 """
 
 from __future__ import annotations
@@ -26,6 +30,12 @@ _SMALL_JUMP_COST = 10
 _LARGE_JUMP_COST = 60
 """Costs of a depth step between neighbouring pixels by one plane, and by more (cost of one pixel: 0..255)."""
 _PIXELS_PER_PLANE = 1.25
+_FACING = np.array([0.0, 0.0, 1.0])
+"""Slope of planes that face the camera: a plane's inverse depth at pixel (u, v, 1), first centre at 0, in its own."""
+_MIN_FLOOR_SHARE = 0.1
+"""Least share of a picture below the horizon for level planes to be swept."""
+_LEVEL = 1e-3
+"""Slope of a level plane up to which a pixel is at the horizon: depth there is hardly determined."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +102,13 @@ def _better_half(costs: list[Array], looking: NDArray[np.uint8]) -> Array:
     return np.where(looking == 1, 2 * floats(best), half)
 
 
-def matching_costs(view: SweepView, neighbours: Sequence[SweepView], planes: Array) -> Costs:
-    """Photo-consistency costs, 0 alike to 255 different or not seen, (H, D, W) and (W, D, H)."""
+def matching_costs(
+    view: SweepView, neighbours: Sequence[SweepView], planes: Array, slope: NDArray[np.float64] = _FACING
+) -> Costs:
+    """Photo-consistency costs, 0 alike to 255 different or not seen, (H, D, W) and (W, D, H).
+
+    Inverse depth at pixel (u, v, 1), first centre at 0, is the plane's times ``slope`` (3,) times the pixel.
+    """
     size = (view.width, view.height)
     upright = np.empty((view.height, len(planes), view.width), np.uint8)
     turned = np.empty((view.width, len(planes), view.height), np.uint8)
@@ -103,7 +118,7 @@ def matching_costs(view: SweepView, neighbours: Sequence[SweepView], planes: Arr
         per_view: list[Array] = []
         looking = np.zeros((view.height, view.width), np.uint8)
         for normalised, (matrix, offset) in zip(seen, mappings, strict=True):
-            homography = matrix + np.outer(offset, (0.0, 0.0, float(inverse_depth)))
+            homography = matrix + np.outer(offset, float(inverse_depth) * slope)
             warped = cv2.warpPerspective(
                 normalised,
                 homography,
@@ -177,7 +192,26 @@ def pick_depths(total: NDArray[np.int16], planes: Array) -> DepthMap:
     return DepthMap(floats(planes[0] + plane * step))
 
 
-def sweep(view: SweepView, neighbours: Sequence[SweepView], planes: Array) -> DepthMap:
-    """Depth of every pixel of ``view``, matched with one to four neighbours; ``planes``: see ``choose_planes``."""
-    costs = matching_costs(view, neighbours, planes)
-    return pick_depths(aggregate(costs, view.picture.mean(axis=2)), planes)
+def sweep(
+    view: SweepView, neighbours: Sequence[SweepView], planes: Array, up: NDArray[np.float64] | None = None
+) -> DepthMap:
+    """Depth of every pixel of ``view``, matched with one to four neighbours; ``planes``: see ``choose_planes``.
+
+    With ``up`` (3,), a world direction, level planes below the camera count as well, where they match better.
+    """
+    luminance = view.picture.mean(axis=2)
+    total = aggregate(matching_costs(view, neighbours, planes), luminance)
+    facing = pick_depths(total, planes)
+    if up is None:
+        return facing
+    slope = -(view.rotation @ up) @ np.linalg.inv(view.intrinsics)
+    slopes = slope[0] * np.arange(view.width) + slope[1] * np.arange(view.height)[:, None] + slope[2]
+    below = slopes > _LEVEL
+    if below.mean() < _MIN_FLOOR_SHARE:
+        return facing
+    steepest, usual = np.percentile(slopes[below], [95, 50])
+    levels = np.linspace(planes[0] / steepest, planes[-1] / usual, len(planes), dtype=np.float32)
+    cheapest = total.min(axis=1)
+    total = aggregate(matching_costs(view, neighbours, levels, slope), luminance)
+    floor = floats(pick_depths(total, levels).inverse_depth * slopes)
+    return DepthMap(np.where(below & (total.min(axis=1) < cheapest), floor, facing.inverse_depth))
