@@ -200,6 +200,8 @@ def test_info_counts_what_was_written(small_stream, capsys) -> None:
     assert facts["header"]["cameras"][1] == {
         "name": "cam01", "width": 60, "height": 44, "distortion_model": "opencv", "held_out": True, "corrected": [],
     }  # fmt: skip
+    assert facts["header"]["lattice"]["means"] == list(small_stream.header.lattice.means)
+    assert facts["header"]["lattice"]["sh_dc"] == small_stream.header.lattice.sh_dc
     assert (facts["complete"], facts["version"]) == (True, [1, 0])
 
 
