@@ -512,9 +512,14 @@ def test_an_outcome_says_whether_to_try_again(rig: Path, tiny_settings: Any, tmp
     assert "parts after the first start from its keyframe" in lacking.problem
     assert not lacking.again
 
-    for error in (TryAgainError("the disk is full"), OSError("no space left"), MemoryError("out of memory")):
+    for error in (
+        TryAgainError("the disk is full"),
+        OSError("no space left"),
+        MemoryError("out of memory"),
+        MemoryError(),
+    ):
         gone = replace(job, rig=Failing(error))  # type: ignore[arg-type]
-        assert run_part(gone, range(1), None, told.append) == Outcome(problem=str(error), again=True)
+        assert run_part(gone, range(1), None, told.append) == Outcome(problem=str(error) or "out of memory", again=True)
 
 
 @pytest.mark.parametrize(

@@ -237,9 +237,12 @@ def test_what_no_calibration_says(tmp_path: Path, writer: str, old: str, new: st
     refused(tmp_path, message)
 
 
-def test_what_easyvolcap_says_of_its_lenses(tmp_path: Path) -> None:
+def test_what_easyvolcap_may_say_and_leave_out(tmp_path: Path) -> None:
     case = CASES[0]
     case.write(tmp_path, case.rig())
+    poses = tmp_path / "extri.yml"
+    poses.write_text(poses.read_text().replace("R_01:", "r_01:"))
+    np.testing.assert_allclose(open_rig(tmp_path).cameras[1].world_to_camera, case.rig()[1].world_to_camera, atol=1e-9)
     path, fisheye = tmp_path / "intri.yml", "rdist_01: !!opencv-matrix\n  data: [{}, 0.0]\n"
     text = path.read_text()
     path.write_text(text + fisheye.format(0.0))
@@ -415,6 +418,14 @@ def test_cam_may_stand_before_a_camera_s_name(tmp_path: Path, name: str) -> None
     assert [(camera.name, source.path.stem) for camera, source in zip(rig.cameras, rig.sources, strict=True)] == [
         (letter, name.format(letter)) for letter in letters
     ]
+
+
+def test_a_folder_s_name_has_no_ending(tmp_path: Path) -> None:
+    case = CASES[1]
+    case.write(tmp_path, case.rig())
+    (tmp_path / "take1_mid.mp4").unlink()
+    write_pictures(tmp_path / "take1.mid" / "{}.png", (64, 48))
+    assert [source.path.name for source in open_rig(tmp_path).sources][2] == "take1.mid"
 
 
 def test_a_number_behind_cam_is_the_camera_s(tmp_path: Path) -> None:
