@@ -189,6 +189,17 @@ def test_a_quaternion_that_starts_afresh_takes_the_sign_nearer_to_the_previous_o
     np.testing.assert_array_equal(quantise(with_quaternion([0.25, -1, 0, 0]), LATTICE).quaternions[:, 1], [one])
 
 
+@pytest.mark.parametrize(
+    ("step", "before", "now"),
+    [(0.7 / 32, 32, 32), (0.7 / 32, 31, 46), (1 / 32, 48, 48), (1 / 32, 49, 32)],
+    ids=["seven tenths", "less", "one and a half", "more"],
+)
+def test_a_quaternion_keeps_its_scale_up_to_the_bounds_themselves(step: float, before: int, now: int) -> None:
+    lattice, splats = replace(LATTICE, quaternions=step), with_quaternion([1, 0.5, 0, 0])
+    near = replace(quantise(splats, lattice), quaternions=np.array([[before, 0, 0, 0]], np.int32))
+    assert quantise(splats, lattice, near=near).quaternions.tolist() == [[now, now // 2, 0, 0]]
+
+
 def test_quaternions_beyond_32_bits_are_refused_as_other_values_are() -> None:
     with pytest.raises(TrainingError, match="quaternions do not fit 32 bits"):
         quantise(with_quaternion([1, 0.5, 0, 0]), replace(LATTICE, quaternions=1e-11))

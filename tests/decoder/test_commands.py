@@ -176,7 +176,11 @@ def test_export_writes_usd(small_stream, tmp_path: Path, capsys) -> None:
     from pxr import Usd
 
     assert export_main([str(small_stream.path), "-o", str(tmp_path / "s.usda"), "--frames", "1:4"]) == 0
-    assert "3 frames" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "3 frames" in printed
+    assert " file" not in printed, "it is one"
+    assert export_main([str(small_stream.path), "-o", str(tmp_path / "s_%d.ply"), "--frames", "1:4"]) == 0
+    assert "3 frames, 3 files, " in capsys.readouterr().out
     stage = Usd.Stage.Open(str(tmp_path / "s.usda"))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetFramesPerSecond()) == (1, 3, 25)
     report = export(small_stream.path, tmp_path / "again.usdc", frames=slice(0, 2), up="Z")
@@ -200,6 +204,8 @@ def test_info_counts_what_was_written(small_stream, capsys) -> None:
     assert facts["header"]["cameras"][1] == {
         "name": "cam01", "width": 60, "height": 44, "distortion_model": "opencv", "held_out": True, "corrected": [],
     }  # fmt: skip
+    assert facts["header"]["lattice"]["means"] == list(small_stream.header.lattice.means)
+    assert facts["header"]["lattice"]["sh_dc"] == small_stream.header.lattice.sh_dc
     assert (facts["complete"], facts["version"]) == (True, [1, 0])
 
 

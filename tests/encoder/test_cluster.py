@@ -196,6 +196,7 @@ class Here:
 
     notice = ""
     ran: ClassVar[list[range]] = []
+    warnings: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, *_: Any, **__: Any) -> None:
         self.ran.clear()
@@ -211,7 +212,7 @@ class Here:
         done = 0
         for part in parts:
             self.ran.append(part)
-            yield part, run_part(job, part, keyframe, lambda done: None)
+            yield part, replace(run_part(job, part, keyframe, lambda done: None), warnings=self.warnings)
             done += len(part)
             yield from (done, done - 1)
 
@@ -230,8 +231,10 @@ def here(rig: Path, tiny_settings: Any, tmp_path: Path) -> Callable[..., list[st
     return run
 
 
-def test_only_what_it_made_is_removed(here: Any, tmp_path: Path) -> None:
-    here()
+def test_only_what_it_made_is_removed(here: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(Here, "warnings", ("it is dark",))
+        assert here() == ["it is dark"] * 2, "once of the keyframe, and once of all parts"
     whole, folder = (tmp_path / "scene.dgs").read_bytes(), tmp_path / "scene.dgs.parts"
     assert not folder.exists()
     others = {"notes.txt": b"mine", "sub/take.mov": b"film", "6-8.dgs": b"mine, too", "0-2.dgs.bak": b"old"}
@@ -512,9 +515,14 @@ def test_an_outcome_says_whether_to_try_again(rig: Path, tiny_settings: Any, tmp
     assert "parts after the first start from its keyframe" in lacking.problem
     assert not lacking.again
 
-    for error in (TryAgainError("the disk is full"), OSError("no space left"), MemoryError("out of memory")):
+    for error in (
+        TryAgainError("the disk is full"),
+        OSError("no space left"),
+        MemoryError("out of memory"),
+        MemoryError(),
+    ):
         gone = replace(job, rig=Failing(error))  # type: ignore[arg-type]
-        assert run_part(gone, range(1), None, told.append) == Outcome(problem=str(error), again=True)
+        assert run_part(gone, range(1), None, told.append) == Outcome(problem=str(error) or "out of memory", again=True)
 
 
 @pytest.mark.parametrize(
@@ -532,6 +540,13 @@ def test_options_that_no_cluster_takes(
     assert encode_main([str(rig), "-o", str(tmp_path / "scene.dgs"), *more]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_the_command_says_what_was_made(rig: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = SimpleNamespace(parts=4, frames=8, total_bytes=99)
+    monkeypatch.setattr("decogs.encoder.cluster.encoding.encode_on_cluster", lambda *_, **__: made)
+    assert encode_main([str(rig), "-o", "scene.dgs", "--cluster", "local", "--segment", "2", "--closed", "-q"]) == 0
+    assert capsys.readouterr().out == "scene.dgs: 4 parts, 8 frames, 99 bytes\n"
 
 
 def test_ray_is_asked_for_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -95,6 +95,11 @@ def test_the_estimate_grows_with_all_that_takes_memory(moving_rig: Path, tiny_se
         )
     )
     assert usual < estimate(closed=True) < estimate(closed=True, cross_fade=1) < estimate(closed=True, cross_fade=3)
+
+    def fade(gaussians: int) -> int:
+        return estimate(closed=True, cross_fade=1, gaussians=gaussians) - estimate(closed=True, gaussians=gaussians)
+
+    assert fade(2_000_000) > fade(1_000_000)
     assert all(less < usual for less in (estimate(holdout=("cam01",)), estimate(frames=1)))
 
 

@@ -11,7 +11,9 @@ import pytest
 from decogs.decoder import decode, decode_sound, info, open_stream
 from decogs.decoder.editing import Concat, Retime, Trim, edit
 from decogs.encoder import join
+from decogs.encoder.input.sound import sound_source
 from decogs.formats.errors import UsageError
+from decogs.formats.rigs import open_rig
 from encode_rig import encode_rig
 from flash_and_click import (
     EDITS,
@@ -165,6 +167,17 @@ def test_auto_is_the_clearest_camera(rig: Path, tmp_path: Path) -> None:
     encode_rig(silent, tmp_path / "none.dgs", few(), audio="auto", frames=slice(0, 2), on_warning=warnings.append)
     assert any("no camera has sound" in text for text in warnings)
     assert info(tmp_path / "none.dgs").sounds == ()
+
+
+@pytest.mark.parametrize(("level", "clearest"), [(0.5, "cam01"), (1.2, "cam03")])
+def test_auto_takes_a_loud_camera_unless_it_clips(level: float, clearest: str, tmp_path: Path) -> None:
+    rig = write_flashing_rig(tmp_path / "rig", sound=("cam01", "cam03"))
+    loud = np.zeros(48_000, np.float32)
+    loud[10_000:30_000] = level * np.sign(np.sin(np.arange(20_000) * 0.02))
+    write_video(rig / "cam01.mp4", np.stack([picture(1, frame) for frame in range(FRAMES + 3)]), loud, fps=FPS)
+    source = sound_source("auto", open_rig(rig), 0, pytest.fail)
+    assert source is not None
+    assert source.track.title == clearest
 
 
 def test_what_has_no_sound_is_named(rig: Path, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils
 
 from decogs.decoder import decode, export
 from decogs.decoder.cameras.files import camera_file, read_camera_file
-from decogs.decoder.cameras.path import ToFilm
+from decogs.decoder.cameras.path import ToFilm, check_pictures
 from decogs.formats.cameras import Camera, camera_centre, project
 from decogs.formats.errors import UsageError
 from decogs.formats.files.trial import try_apart
@@ -444,6 +444,7 @@ def test_more_cameras_than_are_rendered_are_refused(tmp_path: Path) -> None:
     (tmp_path / "pose.json").write_text("[" + "0," * (1 << 17) + "0]")
     with pytest.raises(UsageError, match=r"pose\.json: has 131073 cameras; at most 131072"):
         read_camera_file(tmp_path / "pose.json", FILM)
+    check_pictures(1 << 17, "pose.json")
 
 
 def test_a_usd_cameras_metres_become_the_streams_units(tmp_path: Path) -> None:

@@ -19,6 +19,8 @@ from decogs.decoder.cameras.lens import (
     undistort,
     undistort_pixels,
 )
+from decogs.decoder.rasterise import Rendering
+from decogs.decoder.rendering.views import through_lens
 from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, project
 from decogs.formats.errors import UsageError
 
@@ -378,7 +380,8 @@ def test_depth_is_not_mixed_across_edges() -> None:
     plan = Redistortion(BARREL)
     shape = plan.render_camera.height, plan.render_camera.width
     depth = np.where(np.arange(shape[1]) > shape[1] // 2, np.float32(7), np.float32(2)) * np.ones(shape, np.float32)
-    assert set(np.unique(plan.apply(depth, nearest=True))) == {2.0, 7.0}
+    seen = Rendering(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), depth)
+    assert set(np.unique(through_lens(plan, seen, (0.0, 0.0, 0.0)).depth)) == {2.0, 7.0}
 
 
 @pytest.mark.parametrize("coefficients", [(0.1, 0.2, 0.3), (0.1,) * 6, (float("nan"), 0.0, 0.0, 0.0)])

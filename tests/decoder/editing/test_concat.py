@@ -106,6 +106,20 @@ def test_another_lattice_is_rounded_to_the_first_one_and_what_stays_goes_on_stay
     assert "means rounded to the lattice of the first" in report.notes[0]
 
 
+@pytest.mark.parametrize("name", ["log_scales", "opacity_logits", "sh_dc", "sh_rest"])
+def test_values_of_other_steps_are_rounded_to_the_nearest_of_the_first(name: str, small_stream, tmp_path) -> None:
+    header = header_of(small_stream.path)
+    step = getattr(header.lattice, name)
+    other = replace(header, lattice=replace(header.lattice, **{name: step * 0.7}))
+    path = write_two_frames(tmp_path / "other.dgs", other, dequantise(small_stream.states[0], header.lattice))
+    found = dequantise(states_of(joined(small_stream.path, path))[8], header.lattice)
+    expected = dequantise(states_of(path)[0], other.lattice)
+    for array in ("log_scales", "opacity_logits", "sh"):
+        # Half a step, and the rounding of both to float32.
+        off = np.abs(getattr(found, array) - getattr(expected, array)).max()
+        assert off <= (step * 0.501 if name.startswith(array) else 0)
+
+
 def test_the_higher_degree_counts(small_stream, tmp_path: Path) -> None:
     header = header_of(small_stream.path)
     scene = dequantise(small_stream.states[0], header.lattice)

@@ -96,12 +96,20 @@ def test_the_command_says_it_in_words(small_stream, tmp_path: Path) -> None:
     ("grade", "message"),
     [
         (Grade(), "nothing is to be done"),
-        (Grade(11.0), "an exposure of -10 to 10"),
+        (Grade(10.1), "an exposure of -10 to 10"),
+        (Grade(-10.1), "an exposure of -10 to 10"),
         (Grade(float("nan")), "nan is not possible"),
-        (Grade(saturation=-1.0), "a saturation of 0 to 10"),
+        (Grade(saturation=-0.1), "a saturation of 0 to 10"),
+        (Grade(saturation=10.1), "a saturation of 0 to 10"),
         (Grade(white=(1.0, 0.0, 1.0)), "a white above 0"),
     ],
 )
 def test_what_cannot_be_is_refused(grade: Grade, message: str, small_stream) -> None:
     with pytest.raises(UsageError, match=message):
         edit(small_stream.path, None, [grade])
+
+
+@pytest.mark.parametrize("grade", [Grade(10.0), Grade(-10.0), Grade(saturation=10.0)])
+def test_as_much_as_is_allowed_is_done(grade: Grade, small_stream, tmp_path: Path) -> None:
+    edit(small_stream.path, tmp_path / "out.dgs", [grade])
+    assert bodies(tmp_path / "out.dgs") != bodies(small_stream.path)

@@ -45,6 +45,9 @@ def test_what_a_delta_adds_follows_the_next_id_and_no_id_comes_back() -> None:
 def test_ids_that_no_keyframe_can_list_are_numbered_anew() -> None:
     names = IdMap()
     assert named(names, scene(0, 1, FAR, next_id=FAR + 1), is_key=True) == [0, 1, 2]
+    limit = 1 << 35  # what a keyframe's numbers can say
+    assert named(IdMap(), scene(0, limit, next_id=FAR), is_key=True) == [0, limit]
+    assert named(IdMap(), scene(0, limit + 1, next_id=FAR), is_key=True) == [0, 1]
     names = IdMap()
     assert named(names, scene(0, 1, next_id=FAR), is_key=True) == [0, 1]
     assert named(names, scene(0, FAR, next_id=FAR + 1)) == [0, FAR]

@@ -87,6 +87,14 @@ def test_a_segment_too_long_to_be_in_memory_is_refused(small_stream, tmp_path: P
     assert not list(tmp_path.glob("out*"))
 
 
+def test_as_many_frames_as_are_allowed_are_shown(small_stream, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(retime, "_MOST_FRAMES", 10)
+    edit(small_stream.path, tmp_path / "out.dgs", [Retime(holds=((7, 2),))])
+    assert_shows(states_of(tmp_path / "out.dgs"), states_of(small_stream.path), [*EIGHT, 7, 7])
+    with pytest.raises(UsageError, match="more than 10 frames"):
+        edit(small_stream.path, None, [Retime(holds=((7, 3),))])
+
+
 def test_the_command_says_it_in_words(small_stream, tmp_path: Path) -> None:
     words = "retime --speed 2:4=.5 --speed 4:=1>3 --hold 0:2 --reverse --fps 12.5"
     expected = Retime((Speed(2, 4, 0.5, 0.5), Speed(4, None, 1, 3)), ((0, 2),), True, 12.5)

@@ -177,6 +177,8 @@ def test_the_command_says_it_in_words(small_stream, tmp_path: Path) -> None:
     [
         ("transform", "nothing is to be done"),
         ("transform --scale 0", "a scale of 0 is not possible"),
+        ("transform --scale 1.1e6", "a scale of 1.1e+06 is not possible"),
+        ("transform --scale .9e-6", "a scale of 9e-07 is not possible"),
         ("transform --scale nan", "transform: nan is not possible"),
         ("transform --turn w=3", "'w=3' is no turn"),
         ("transform --turn x=a", "'a' is no number"),
@@ -191,3 +193,9 @@ def test_what_cannot_be_is_refused(words: str, message: str, small_stream, tmp_p
     assert not list(tmp_path.glob("out*"))
     with pytest.raises(UsageError, match="scale"):
         edit(small_stream.path, None, [Transform(scale=-1.0)])
+
+
+@pytest.mark.parametrize("scale", [1e6, 1e-6])
+def test_the_largest_and_the_smallest_scale_are_kept(scale: float, small_stream, tmp_path: Path) -> None:
+    edit(small_stream.path, tmp_path / "out.dgs", [Transform(scale=scale)])
+    assert header_of(tmp_path / "out.dgs").presentation.similarity.scale == pytest.approx(scale)

@@ -16,7 +16,7 @@ from decogs.decoder.exporting.usd import ExportFrame, export_usd, take_census, u
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import SH_C0, Splats, take_splats
-from usd_takes import a_long_take, living_scene, replay, some_splats
+from usd_takes import a_long_take, living_scene, moved, replay, some_splats
 
 
 @pytest.fixture(scope="module", params=[8, 6, 3, 2, 1], ids="segments of {}".format)
@@ -351,3 +351,16 @@ def test_indices_that_do_not_rise_and_ids_that_repeat_are_refused() -> None:
         take_census([first, first])
     with pytest.raises(ValueError, match="id twice"):
         take_census([ExportFrame(0, np.zeros(40, np.int64), first.splats)])
+
+
+def test_a_single_gaussian_that_rests_is_written_as_one(tmp_path: Path) -> None:
+    """Number 4 moves in the second segment only, 1 to 3 in every frame."""
+    rng, take = np.random.default_rng(1), []
+    ids, splats = np.arange(5, dtype=np.int64), some_splats(rng, 5)
+    for index in range(7):
+        take.append(ExportFrame(index, ids, splats))
+        splats = moved(splats, np.array([1, 2, 3] if index < usd_export.SEGMENT + 1 else [1, 2, 3, 4]), rng)
+    export_usd(replay(take), tmp_path / "a.usdc", fps=30)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    resting = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/Resting"))
+    assert list(resting.GetIdsAttr().Get(0)) == [4]

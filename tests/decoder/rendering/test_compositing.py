@@ -14,6 +14,7 @@ from decogs.codec.packets.corrections import Correction
 from decogs.decoder import decode, open_stream, render_view
 from decogs.decoder.output.exr import NOTHING_SEEN, Layers, coverage, linear_light, save_exr, without_background
 from decogs.decoder.rasterise import Rendering
+from decogs.decoder.rendering.compositing import _pixels
 from decogs.decoder.rendering.views import recorded_colour
 from decogs.formats.cameras import Camera, project
 from decogs.formats.errors import UsageError
@@ -107,6 +108,11 @@ def test_matrices_project_as_the_camera_does(tmp_path: Path) -> None:
     np.testing.assert_allclose(in_camera[:, 2], depth, atol=1e-5)
     np.testing.assert_allclose(in_camera[:, 1] * 9 / depth, 2.5 - v, atol=1e-4)
     assert struct.unpack("<iI", attribute(tmp_path / "x.exr", "framesPerSecond", 8)) == (30000, 1001)
+
+
+def test_what_is_behind_a_camera_lies_nowhere_in_its_picture() -> None:
+    pixels = _pixels(CAMERA, np.array([[0.1, 0.2, 2.0], [0.1, 0.2, -2.0]], np.float32))
+    assert np.isfinite(pixels).all(axis=1).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("view", ["cam00", "cam01", "wide"])

@@ -245,6 +245,15 @@ def test_a_connection_stays_open_but_after_a_body(served: StreamServer, headers:
         assert b"".join(iter(lambda: connection.recv(1 << 16), b"")).count(b"HTTP/1.1 200 ") == answers
 
 
+def test_a_connection_stays_open_after_the_stream(served: StreamServer, small_stream: Any) -> None:
+    host = urlsplit(served.url)
+    connection = http.client.HTTPConnection(host.hostname or "", host.port, timeout=10)
+    for _ in range(2):
+        connection.request("GET", f"/{small_stream.path.name}")
+        assert Answer(connection.getresponse()).body == small_stream.path.read_bytes()
+    connection.close()
+
+
 def test_only_this_machine_is_listened_to(served: StreamServer) -> None:
     assert served.url.startswith("http://127.0.0.1:")
     with pytest.raises(OSError, match="refused"):

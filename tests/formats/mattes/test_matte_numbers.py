@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,12 @@ import pytest
 
 from decogs.formats.errors import RigError
 from decogs.formats.mattes.numbering import mattes_of_recording, mattes_of_stream
-from decogs.formats.mattes.per_frame import matte_rig
-from decogs.formats.rigs import open_rig
+from decogs.formats.mattes.per_frame import alpha_of, matte_rig, stream_matte_rig
+from decogs.formats.rigs import open_rig, read_frames
 from decogs.formats.rigs.sources import PictureSource
 from decogs.formats.rigs.timeline import CameraClock, RecordedIndex
 from decogs.formats.videos.reading import VideoSource
+from rig_layouts import FRAMES, SIZE, cameras, write_video
 
 MASKS = Path("masks/cam00")
 FROM_0, FROM_1 = range(10), range(1, 11)
@@ -159,3 +161,15 @@ def test_what_was_matched_to_what_is_said_where_numbers_differ(tmp_path: Path, m
     assert matte_rig(numbered_from(tmp_path / "from1", 1, make), rig, names, range(3)).warnings == ()
     (warning,) = matte_rig(numbered_from(tmp_path / "from0", 0, make), rig, names, range(3)).warnings
     assert warning.endswith("cam00/0000.png and 1 more: taken for the matte of 0001.png, frame 0")
+
+
+@pytest.mark.parametrize(
+    ("first", "count", "is_fitting"), [(0, FRAMES, True), (3, FRAMES, True), (0, 3, True), (2, 3, False), (0, 6, False)]
+)
+def test_a_video_of_mattes_has_the_streams_frames_or_the_rigs_from_its_first(
+    first: int, count: int, is_fitting: bool, tmp_path: Path
+) -> None:
+    write_video(tmp_path / "a.mp4", SIZE)
+    with nullcontext() if is_fitting else pytest.raises(RigError, match=f"5 frames, but the stream has {count}; cut"):
+        rig = stream_matte_rig(tmp_path, cameras("none", ["a"]), first, count, range(count))
+        assert [alpha_of(picture).shape for _, (picture,) in read_frames(rig)] == [SIZE[::-1]] * count

@@ -57,6 +57,10 @@ def test_starts_that_are_all_one_change_nothing(tmp_path: Path, make: Any, other
 def test_lengths_may_differ_where_starts_are_known_and_are_refused_where_not(tmp_path: Path, make: Any) -> None:
     rig = open_rig(written(tmp_path / "known", make, [0, 1, 0], lengths=[9, 5, 7]))
     assert shown(rig) == [[k + 1, k, k + 1] for k in range(5)]
+    together = open_rig(written(tmp_path / "together", make, [0, 0, 0], lengths=[9, 9, 7]))
+    assert [text.partition("; ")[2] for text in together.warnings] == [
+        "the 7 frames that all of them recorded are used"
+    ]
     unknown = written(tmp_path / "unknown", make, [None] * 3, lengths=[9, 9, 7])
     with pytest.raises(RigError, match=r"cam02.mp4: 7 frames, but cam00.mp4 has 9; .*decogs-sync"):
         open_rig(unknown)

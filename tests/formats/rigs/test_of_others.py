@@ -198,6 +198,94 @@ def test_a_calibration_that_is_damaged(
     assert capfd.readouterr() == ("", "")
 
 
+WRONG = [
+    ("write_aniposelib", 'name = "leftL"', 'name = "left"', "is 'left', as that of another camera"),
+    ("write_aniposelib", r"matrix = \[\[60\.0, 0\.0", "matrix = [[60.0, 7e-5", "calibrate without skew"),
+    (
+        "write_aniposelib",
+        r"(distortions = .*)\]",
+        r"\1, 0, 0, 0, 0.1, 0, 0, 0]",
+        "only k1 k2 p1 p2 k3 k4 k5 k6 are read",
+    ),
+    ("write_aniposelib", "fisheye = false", "fisheye = true", "5 distortion coefficients, but a fisheye has 4"),
+    ("write_aniposelib", "size = .*", "size = [0.0, 48.0]", "0 x 48 pixels is no usable size"),
+    ("write_qualisys", "<fov_video [^>]*>", "", "<fov_video> is missing"),
+    ("write_qualisys", 'serial="21002"', 'serial="21001"', "two cameras have one serial"),
+    ("write_qualisys", "Miqus Video", "Miqus M5", "lists no video camera"),
+    ("write_immersive", '"fisheye"', '"equirect"', "'projection_type' is 'equirect', which is read as 'fisheye'"),
+    ("write_immersive", r"-0\.02, 0\.0\]", "-0.02, 0.5]", "'projection_type' is 'fisheye', which is read as"),
+    ("write_panoptic", '"hd"', '"vga"', "lists no camera of type 'hd'"),
+    ("write_actors_hq", "Cam002", "Cam001", "two cameras are called 'Cam001'"),
+    (
+        "write_colmap4d",
+        r"\n4 40000000\n",
+        "\n4 60000003\n",
+        "camera cam01 is 0.0200 s out of step|out of step with cam01",
+    ),
+    ("write_colmap4d", r"\n4 40000000\n", "\n", "5 times of camera cam02, but 4 of cam01"),
+]
+
+
+@pytest.mark.parametrize(("writer", "old", "new", "message"), WRONG)
+def test_what_no_calibration_says(tmp_path: Path, writer: str, old: str, new: str, message: str) -> None:
+    case = next(case for case in CASES if case.write.__name__ == writer)
+    case.write(tmp_path, case.rig())
+    path = tmp_path / case.cut[0]
+    text, count = re.subn(old, new, path.read_text())
+    assert count
+    path.write_text(text)
+    refused(tmp_path, message)
+
+
+def test_what_easyvolcap_may_say_and_leave_out(tmp_path: Path) -> None:
+    case = CASES[0]
+    case.write(tmp_path, case.rig())
+    poses = tmp_path / "extri.yml"
+    poses.write_text(poses.read_text().replace("R_01:", "r_01:"))
+    np.testing.assert_allclose(open_rig(tmp_path).cameras[1].world_to_camera, case.rig()[1].world_to_camera, atol=1e-9)
+    path, fisheye = tmp_path / "intri.yml", "rdist_01: !!opencv-matrix\n  data: [{}, 0.0]\n"
+    text = path.read_text()
+    path.write_text(text + fisheye.format(0.0))
+    assert open_rig(tmp_path).cameras[1].distortion_model == "opencv"
+    path.write_text(text + fisheye.format(0.1))
+    refused(tmp_path, "'rdist_01' is a fisheye's distortion")
+    path.write_text(text.replace("K_", "k_"))
+    refused(tmp_path, "no camera matrix K_00 or alike")
+    colours = "ccm_01: !!opencv-matrix\n  data: [1, 0, 0, 0, 1, 0, 0, 0, {}]\n"
+    for blue, is_said in (1, False), (2, True):
+        path.write_text(text + colours.format(blue))
+        assert is_said == any("colour matrices (ccm) are not used" in words for words in open_rig(tmp_path).warnings)
+
+
+def test_a_skew_that_moves_no_pixel_is_none(tmp_path: Path) -> None:
+    case = CASES[1]
+    case.write(tmp_path, case.rig())
+    path = tmp_path / case.cut[0]
+    path.write_text(path.read_text().replace("matrix = [[60.0, 0.0", "matrix = [[60.0, 5e-5"))
+    assert len(open_rig(tmp_path).cameras) == 3
+
+
+def test_a_camera_is_in_step_within_half_a_frame(tmp_path: Path) -> None:
+    case = next(case for case in CASES if case.layout == "colmap4d")
+    case.write(tmp_path, case.rig())
+    path = tmp_path / case.cut[0]
+    path.write_text(path.read_text().replace("\n5 40000001\n", "\n5 60000000\n"))
+    assert open_rig(tmp_path).frame_count == FRAMES
+    path.write_text(path.read_text().replace("\n5 60000000\n", "\n5 60000001\n"))
+    refused(tmp_path, "camera cam02 is 0.0200 s out of step with cam01")
+
+
+def test_a_lens_without_a_projection_is_plain(tmp_path: Path) -> None:
+    case = next(case for case in CASES if case.layout == "immersive")
+    case.write(tmp_path, case.rig())
+    path = tmp_path / case.cut[0]
+    path.write_text(
+        path.read_text().replace('"projection_type": "fisheye"', '"more": 1').replace("-0.02, 0.0]", "-0.02, 3]")
+    )
+    camera = open_rig(tmp_path).cameras[0]
+    assert (camera.distortion_model, camera.distortion) == ("opencv", (0.1, -0.02, 0.0, 0.0, 3.0))
+
+
 # --- what is particular ---------------------------------------------------------------------------------------------
 
 
@@ -332,6 +420,14 @@ def test_cam_may_stand_before_a_camera_s_name(tmp_path: Path, name: str) -> None
     ]
 
 
+def test_a_folder_s_name_has_no_ending(tmp_path: Path) -> None:
+    case = CASES[1]
+    case.write(tmp_path, case.rig())
+    (tmp_path / "take1_mid.mp4").unlink()
+    write_pictures(tmp_path / "take1.mid" / "{}.png", (64, 48))
+    assert [source.path.name for source in open_rig(tmp_path).sources][2] == "take1.mid"
+
+
 def test_a_number_behind_cam_is_the_camera_s(tmp_path: Path) -> None:
     """And not a take's, which is the name of another camera."""
     numbers = ["1", "2", "10"]
@@ -406,6 +502,17 @@ def test_pictures_inside_a_file_are_in_step(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "0007_01.smc", "r+") as file:
         file.move("Camera_5mp/1/color/2", "Camera_5mp/1/color/7")
     refused(tmp_path, "only one of cameras 0 and 1 has frame '2'")
+    with h5py.File(tmp_path / "0007_01.smc", "r+") as file:
+        file.move("Camera_5mp/1/color/7", "Camera_5mp/1/color/10")
+        file.move("Camera_5mp/0/color/2", "Camera_5mp/0/color/9")
+    refused(tmp_path, "only one of cameras 0 and 1 has frame '9'")  # the first one by number, not by letter
+    with h5py.File(tmp_path / "0007_01.smc", "r+") as file:
+        del file["Camera_5mp/1/color"]
+        file.create_group("Camera_5mp/1/color")
+    refused(tmp_path, "Camera_5mp/1 holds no picture")
+    with h5py.File(tmp_path / "0007_01.smc", "r+") as file:
+        file.move("Camera_5mp/1", "Camera_5mp/left")
+    refused(tmp_path, "Camera_5mp/'left' is no camera's number")
 
 
 def test_hdf5_files_reach_for_no_other_file(tmp_path: Path) -> None:

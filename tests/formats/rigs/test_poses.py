@@ -7,9 +7,11 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
-from decogs.formats.cameras import turned
-from decogs.formats.rigs.calibration import quaternion_pose, rigid_pose
+from decogs.formats.cameras import Camera, turned
+from decogs.formats.errors import RigError
+from decogs.formats.rigs.calibration import calibrated_camera, quaternion_pose, rigid_pose
 
 BITS = """
 import numpy as np
@@ -41,6 +43,63 @@ def test_the_nearest_rotation_is_that_of_the_singular_value_decomposition() -> N
         np.testing.assert_allclose(rotation, left @ right, rtol=0, atol=1e-14)
         # A handful of roundings of numbers near 1.
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=2e-15)
+
+
+def pose(*, scale: float = 1.0, last: tuple[float, ...] = (0, 0, 0, 1), shift: float = 0.0) -> np.ndarray:
+    matrix = np.diag([scale, 1.0, 1.0, 1.0])
+    matrix[0, 3], matrix[3] = shift, last
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (np.eye(3), "no 3 x 4 or 4 x 4 matrix"),
+        (pose(scale=1.0006), "scaled or skewed axes"),
+        (pose(shift=1.1e12), "not a rigid motion"),
+        (pose(last=(0, 0, 0, 1.1)), "not a rigid motion"),
+        (pose(last=(0, 2e-6, 0, 1)), "not a rigid motion"),
+        (pose(scale=0.0), "singular"),
+        (pose(scale=-1.0), "mirrored"),
+        (pose(scale=np.nan), "NaN"),
+    ],
+)
+def test_a_pose_that_no_camera_has(matrix: np.ndarray, message: str) -> None:
+    with pytest.raises(RigError, match=f"^here: the pose is .*{message}|^here: the pose holds {message}"):
+        rigid_pose(matrix, "here")
+
+
+@pytest.mark.parametrize("matrix", [pose(scale=1.0004), pose(shift=-1e12), pose(last=(0, 9e-7, 0, 1))])
+def test_what_a_file_rounds_is_rigid(matrix: np.ndarray) -> None:
+    rigid = rigid_pose(matrix, "here")
+    np.testing.assert_allclose(rigid[:3, :3], np.eye(3), rtol=0, atol=1e-15)
+    assert rigid[3].tolist() == [0, 0, 0, 1]
+
+
+def camera(fx: float = 60.0, fy: float = 60.0, cx: float = 32.0, cy: float = 24.0, k1: float = 0.0) -> Camera:
+    return calibrated_camera("a", (64, 48), (fx, fy, cx, cy), np.eye(4), "opencv", (k1, 0.0, 0.0, 0.0), "here")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fx": 1e7}, "focal lengths 1e"),
+        ({"fy": 1e7}, "focal lengths 60, 1e"),
+        ({"fy": 0.0}, "focal lengths 60, 0 "),
+        ({"cx": np.nan}, "NaN"),
+        ({"k1": np.inf}, "NaN or infinite"),
+        ({"cx": 673.0}, "far off the picture"),
+        ({"cy": -617.0}, "far off the picture"),
+    ],
+)
+def test_a_lens_that_no_camera_has(changes: dict[str, float], message: str) -> None:
+    with pytest.raises(RigError, match=message):
+        camera(**changes)
+
+
+def test_a_principal_point_may_lie_ten_pictures_off() -> None:
+    assert (camera(cx=672.0).cx, camera(cy=-616.0).cy) == (672.0, -616.0)
+    assert (camera().distortion_model, camera(k1=0.1).distortion_model) == ("none", "opencv")
 
 
 def test_a_quaternion_of_any_norm_is_its_rotation() -> None:

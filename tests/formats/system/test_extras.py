@@ -48,3 +48,22 @@ def test_an_extra_comes_from_where_decogs_came_from(installed: Any, tmp_path: Pa
     assert installed({"url": "https://example.org/decogs.git", "vcs_info": {"vcs": "git"}}) == by_name
     assert installed("from an index") == by_name
     assert installed(None) == by_name
+
+
+@pytest.mark.parametrize(
+    ("module", "whole", "library", "extra"),
+    [
+        ("cv2", None, "OpenCV", "encode"),
+        ("av.video", None, "PyAV", "video"),
+        ("av", "encode", "PyAV", "encode"),
+        ("pxr", "encode", "OpenUSD", "usd"),
+    ],
+)
+def test_what_lacks_brings_the_least_or_all_of_a_command(module: str, whole: Any, library: str, extra: str) -> None:
+    words = extras.what_to_install(ModuleNotFoundError(name=module), whole=whole)
+    assert words == f"this needs {library}, which is not installed: {extras.install(extra)}"
+
+
+def test_what_no_extra_brings_is_an_error_of_its_own() -> None:
+    assert extras.what_to_install(ModuleNotFoundError(name="avocado")) is None
+    assert extras.what_to_install(ModuleNotFoundError()) is None

@@ -49,9 +49,9 @@ def test_the_camera_with_too_large_an_error_is_left_out_and_the_rest_placed_anew
     def place(lenses: dict[int, Lens], *_: object) -> BoardRig:
         asked.append(sorted(lenses))
         pose = np.zeros(3), np.zeros(3)
-        return BoardRig(dict.fromkeys(lenses, pose), {number: 0.5 + (number == 1) for number in lenses}, ())
+        return BoardRig(dict.fromkeys(lenses, pose), {number: [0.5, 1.5, 2.0][number] for number in lenses}, ())
 
-    footage: Any = [type("Footage", (), {"size": (1000, 800)})] * 3
+    footage: Any = [type("Footage", (), {"size": (width, 800)}) for width in (1000, 1000, 3000)]
     rig, left_out = _placed_accurately(dict.fromkeys(range(3), LENS), {}, CORNERS, footage, place)
     assert asked == [[0, 1, 2], [0, 2]]
     assert sorted(rig.poses) == [0, 2]

@@ -19,11 +19,12 @@ from decogs.encoder import EncodeJob, encode
 from decogs.encoder.analysis.analyse import Analysis, analyse
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.formats.cameras import Camera
+from decogs.formats.colours.srgb import linear_from_srgb
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.rigs import open_rig, without_cameras
 from decogs.rig.check.faults import GOOD, HARMFUL, USABLE, Findings, faults_of
 from decogs.rig.check.moving import moves_through
-from decogs.rig.check.recordings import find_lost
+from decogs.rig.check.recordings import detail, find_lost
 from decogs.rig.check.registration import camera_path
 from faults.make import FAULTS, with_fault, write_faulty, write_rig
 
@@ -295,3 +296,9 @@ def test_an_encode_of_white_noise_says_that_it_is_noise(
         RigError, match=r"camera cam\w+ shows noise of \d\d levels and nothing that two cameras agree on"
     ):
         encode(EncodeJob(write_rig(cameras, noise, tmp_path / "rig"), tmp_path / "a.dgs", "live", effects="auto"))
+
+
+def test_details_are_of_levels_whether_a_picture_is_coded_or_linear() -> None:
+    levels = np.random.default_rng(1).integers(0, 256, (48, 64, 3)).astype(np.uint8)
+    linear = linear_from_srgb(levels.astype(np.float32) / np.float32(255))
+    np.testing.assert_allclose(detail(linear), detail(levels), rtol=1e-4)  # of float32 powers

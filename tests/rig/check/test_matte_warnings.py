@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from decogs.rig.check.mattes import check_mattes
+from decogs.formats.errors import RigError
+from decogs.rig.check.mattes import check_mattes, lost_mattes
 from decogs.rig.pictures.ingest import RigFrame
 
 NAMES = ("cam00", "cam01")
@@ -35,3 +37,21 @@ def test_cloth_of_the_screens_colour_is_named_where_there_is_most() -> None:
 
 def test_what_the_mattes_themselves_warn_of_comes_first() -> None:
     assert warnings((0.02, 0.0), ("one", "two"))[:2] == ["one", "two"]
+
+
+def test_of_every_second_frame_the_lost_mattes_are_named() -> None:
+    def given(names: Any, start: int, stop: int, lose: Any, step: int = 1) -> Iterator[dict[str, Any]]:
+        for index in range(start, stop, step):
+            if index == 4:
+                lose(index, "cam01", RigError("it is gone"))
+            yield {"cam00": np.full((4, 4), index == 2, np.float32)}
+
+    done: list[tuple[int, int]] = []
+    mattes: Any = SimpleNamespace(given=given)
+    lines = lost_mattes(mattes, NAMES, range(0, 7, 2), lambda *progress: done.append(progress))
+    assert list(lines) == [
+        "camera cam00 has no matte in frame 2, and is left out there: it is white all over; white is subject, "
+        "black is empty",
+        "camera cam01 has no matte in frame 4, and is left out there: it is gone",
+    ]
+    assert done == [(1, 4), (2, 4), (3, 4), (4, 4)]

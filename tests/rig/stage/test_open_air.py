@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from decogs.formats.cameras import camera_centre, project, ray_slopes, turned
+from decogs.formats.cameras import Camera, camera_centre, project, ray_slopes, turned
 from decogs.formats.rigs import open_rig
 from decogs.rig.pictures.ingest import Ingest, RigFrame, View
-from decogs.rig.stage.open_air import OpenAir, _directions, find_open_air, open_air_of
+from decogs.rig.stage.open_air import OpenAir, _directions, _upper_regions, find_open_air, open_air_of
 from decogs.rig.stage.views import StageView
 from outdoors.make import SKIES, cameras, write_meadow
 
@@ -143,3 +143,15 @@ def test_directions_are_those_of_the_pixels_centres() -> None:
     u, v, _ = project(camera, camera_centre(camera) + _directions(view))
     rows, columns = np.indices((height, width)).reshape(2, -1)
     np.testing.assert_allclose([u - columns, v - rows], 0.5, atol=1e-6)  # doubles
+
+
+def test_the_sky_reaches_what_a_lens_recorded_first() -> None:
+    """The left half of a straightened picture begins lower; its sky is apart from that of the right half."""
+    picture, recorded = np.zeros((64, 64, 3), np.float32), np.ones((64, 64), bool)
+    picture[:, 30:34] = np.random.default_rng(1).random((64, 4, 3))
+    recorded[:10, :32] = False
+    above = np.arange(64)[:, None] + np.zeros(64) < 30
+    sky = _upper_regions(StageView(Camera("a", 64, 64, 60.0, 60.0, 32.0, 32.0, np.eye(4)), picture, recorded), above)
+    assert sky[15:25, 5:20].all()
+    assert sky[5:25, 42:60].all()
+    assert not sky[~(above & recorded)].any()

@@ -78,6 +78,21 @@ def test_a_pair_whose_best_lag_says_little_does_not_count() -> None:
     assert joint.pair_agreement[3] == 0
 
 
+def at_lag(first: int, second: int, lag: int, evidence: float, reach: int = REACH) -> Agreement:
+    """Two cameras that agree at one lag only."""
+    spike = (np.arange(-reach, reach + 1) == lag).astype(np.float64)
+    return Agreement(first, second, evidence * spike, spike)
+
+
+def test_the_pair_that_stands_out_most_is_overruled_by_all_others_together() -> None:
+    """Beginning with it, two pairs of cameras stay four frames apart, beyond what the weaker ones were compared at."""
+    beside = [at_lag(0, 2, 0, 20.0), at_lag(1, 3, 0, 20.0)]
+    across = [at_lag(0, 3, 0, 6.0, reach=3), at_lag(1, 2, 0, 6.0, reach=3), at_lag(2, 3, 0, 6.0, reach=3)]
+    assert joint_starts(4, [*beside, *across, at_lag(0, 1, 4, 10.0)]).starts == pytest.approx([0] * 4, abs=1e-9)
+    alone = joint_starts(4, [*beside, *across, at_lag(0, 1, 4, 19.0)])
+    assert from_first(alone) == pytest.approx([0, 4, 0, 4], abs=1e-9)
+
+
 def test_agreement_needs_five_changes_that_both_cameras_recorded() -> None:
     signal = np.random.default_rng(1).normal(size=(1, 9, 20)).astype(np.float32)
     of_lags = agreement(0, 1, signal, signal, reach=6)
