@@ -74,12 +74,12 @@ class Tuning:
 
     ``grow_begin``, ``grow_end``: shares of the schedule between which Gaussians are added: later ones are not trained
     to the end. ``grow_gradient``: mean view gradient from which a Gaussian is split, ``prune_opacity``: below which one
-    is removed (both 3DGS's). ``search_at``: share of the schedule after which what views miss gets Gaussians, above 1 for
-    never. ``max_stretch``: largest ratio of a Gaussian's largest to its middle size: needles are
-    wrong from other viewpoints. ``patience_checks``: checks without a new best after which training stops: the score of
-    few tiles is noisy. ``rates``: step sizes at the start, two to four times 3DGS's, since a keyframe has a twentieth
-    of its steps; that of means is in units of the rig's extent. ``means_decay``, ``late_decay``: what is left of them
-    at the end, of positions over the schedule and of all over its second half.
+    is removed (both 3DGS's). ``search_at``: share of the schedule after which what views miss gets Gaussians, above 1
+    for never. ``max_stretch``: largest ratio of a Gaussian's largest to its middle size: needles are wrong from other
+    viewpoints. ``patience_checks``: checks without a new best after which training stops: the score of few tiles is
+    noisy. ``rates``: step sizes at the start, two to four times 3DGS's, since a keyframe has a twentieth of its steps;
+    that of means is in units of the rig's extent. ``means_decay``, ``late_decay``: what is left of them at the end, of
+    positions over the schedule and of all over its second half.
     """
 
     grow_begin: float = 0.15
