@@ -265,11 +265,16 @@ def test_importing_this_library_leaves_opencvs_log_alone(tmp_path: Path) -> None
     environment = {name: value for name, value in os.environ.items() if not name.startswith("OPENCV")}
     subprocess.run([sys.executable, "-c", program], check=True, env=environment)
     before = logging.getLogLevel()
-    with quiet_opencv():
+    try:
+        logging.setLogLevel(3)
         with quiet_opencv():
             assert logging.getLogLevel() == 0
-        assert logging.getLogLevel() == 0
-    assert logging.getLogLevel() == before
+            with quiet_opencv():
+                assert logging.getLogLevel() == 0
+            assert logging.getLogLevel() == 0
+        assert logging.getLogLevel() == 3
+    finally:
+        logging.setLogLevel(before)
 
 
 def test_an_option_that_may_be_repeated_may_be_left_out() -> None:

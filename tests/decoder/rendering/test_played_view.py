@@ -254,6 +254,8 @@ def test_changes_that_do_not_fit_are_refused() -> None:
     scene = some_splats(np.random.default_rng(1), 5)
     none = np.zeros(0, np.int64)
     view = IncrementalView(CAMERAS[0], (0.0, 0.0, 0.0), threads=1)
+    with pytest.raises(ValueError, match="in the scene"):  # which is empty
+        view.change(np.array([0]), scene, none, population=0)
     view.set_scene(scene)
     with pytest.raises(ValueError, match="ascend"):
         view.change(np.array([3, 1]), scene, np.arange(5), population=5)

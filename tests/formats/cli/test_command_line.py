@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from io import BytesIO, TextIOWrapper
 
 import pytest
 
-from decogs.formats.cli.command_line import Parser, path_or_pipe, print_text, warn_as
+from decogs.formats.cli.command_line import TRY_AGAIN, Parser, path_or_pipe, print_text, retryable, warn_as
 from decogs.formats.errors import UsageError
 
 
@@ -73,3 +75,16 @@ def test_behind_two_dashes_are_files() -> None:
     parser = Parser(prog="x")
     parser.add_argument("files", nargs="*")
     assert parser.parse_args(["--", "--frames", "-3:"]).files == ["--frames", "-3:"]
+
+
+@pytest.mark.parametrize(("names", "whose"), [(("cam00/0001.png",), "cam00/0001.png: "), ((), f"[Errno {errno.EIO}] ")])
+def test_what_a_disk_fails_in_is_named_and_may_be_tried_again(
+    names: tuple[str, ...], whose: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    problem = os.strerror(errno.EIO)
+
+    def command() -> int:
+        raise OSError(errno.EIO, problem, *names)
+
+    assert retryable(Parser(prog="decogs-encode"), command) == TRY_AGAIN
+    assert capsys.readouterr().err == f"decogs-encode: {whose}{problem}; nothing was written, try again\n"

@@ -105,3 +105,11 @@ def test_of_a_large_picture_a_part_tells_its_noise(deviation: float) -> None:
     part = frame_noise(now, before)
     assert part == pytest.approx(frame_noise(now, before, samples=10**9), rel=0.01)
     assert part == pytest.approx(deviation * math.sqrt(2), rel=0.1)
+
+
+@pytest.mark.parametrize(("too_few", "told"), [(0, (4**2 * 9 + 3**2) / 10), (1, (4**2 + 3**2) / 2)])
+def test_a_row_in_two_tells_the_noise_where_half_the_values_of_these_suffice(too_few: int, told: float) -> None:
+    """Rows have a noise of 3 and 4 in turn, and neighbours of the other. To 5 %: the tails are cut off."""
+    deviation = np.where(np.arange(240) % 2, 4, 3)[:, None] / 255
+    before, now = (np.float32(0.5) + RNG.normal(0, deviation, (240, 320)).astype(np.float32) for _ in range(2))
+    assert picture_noise(before, now, before.size // 4 + too_few) == pytest.approx(math.sqrt(told), rel=0.05)
