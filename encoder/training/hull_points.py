@@ -31,8 +31,8 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 F64 = NDArray[np.float64]
 
-_MIN_LOOKING = 4
-"""Views, beside its own, that must look at a point."""
+_MIN_LOOKING, _LEAST_LOOKING = 4, 3
+"""Views, beside its own, that must look at a point; and of four views."""
 _AGREEING_SHARE = 0.5
 """Share of them that must show its colour: a body hides its points from the others."""
 _STEP_PIXELS = 1.5
@@ -118,6 +118,7 @@ class _Search:
 
     def __init__(self, stage: Stage, views: Sequence[StageView], rule: Rule) -> None:
         self._stage, self._views, self._rule = stage, views, rule
+        self._least = min(_MIN_LOOKING, max(_LEAST_LOOKING, len(views) - 1))
         self._smooth = [floats(cv2.blur(view.picture, (3, 3))) for view in views]
         middle, _ = point_nearest_axes([view.camera for view in views])
         self._distance = float(np.median([np.linalg.norm(camera_centre(v.camera) - middle) for v in views]))
@@ -187,7 +188,7 @@ class _Search:
         cost = np.sort(differences, axis=1)[np.arange(len(points)), last]
         agreeing = differences <= self._rule.difference
         agreeing[:, index] = True
-        return np.where(looking >= _MIN_LOOKING, cost, np.inf).astype(np.float32), agreeing
+        return np.where(looking >= self._least, cost, np.inf).astype(np.float32), agreeing
 
 
 def _spread(mask: BoolArray, stride: int) -> IntArray:

@@ -108,6 +108,17 @@ def test_points_of_a_hull_lie_on_what_the_mattes_show(alone: Pictures) -> None:
     assert (found.seen.sum(axis=0) >= 3).all()
 
 
+@pytest.mark.parametrize(("step", "least"), [(2, 50), (3, 0)], ids=["four views", "three"])
+def test_four_views_are_enough(alone: Pictures, step: int, least: int) -> None:
+    views, mattes = alone.ingest.views[::step], alone.frame.alpha[::step]
+    stage = subject_alone(views, mattes)
+    found = with_missed(nothing(len(views)), stage, views, alone.frame.training[::step], most=4000, threads=1)
+    assert bool(len(found.xyz)) == bool(least)
+    if least:
+        assert len(found.xyz) > least
+        assert (np.abs(distances(found.xyz, [*on_stage(0), *flying(0)])) < NEAR).mean() > 0.6
+
+
 def test_only_what_has_no_point_gets_some(alone: Pictures) -> None:
     all_points = alone.missed()
     on_ball = distances(all_points.xyz, flying(0)) < NEAR
