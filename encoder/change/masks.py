@@ -272,7 +272,7 @@ class MaskMemory:
 
         ``rendered``: the scene's renderings, where pixels that they miss are to be selected again, though they may
         change no more: so far as some region of interest ever held them, and by more than a trained picture's error.
-        ``relit``: light changed more than steps follow.
+        ``relit``: light changed more than steps follow; what is missed then keeps its reference, and goes on training.
         """
         regions = [old | mask.dilated for old, mask in zip(self.regions, masks, strict=True)]
 
@@ -285,7 +285,7 @@ class MaskMemory:
                 return reference
             shown = np.clip(rendered[index], 0, 1)
             missed = _mean_difference(shown, now, _ERROR_WINDOW_PIXELS) > self.trained_errors[index]
-            return np.where(missed & regions[index], shown, reference)
+            return np.where(missed & regions[index], old if relit else shown, reference)
 
         with side_by_side(threads) as each:
             references = list(each(reference, range(len(masks))))

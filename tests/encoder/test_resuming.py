@@ -517,7 +517,7 @@ def check_killed(
         wait(child, log)
         child.kill()
         _, err = child.communicate(timeout=120)
-        assert err == ""
+        assert said(err) == []
         if child.returncode == 0:  # it was quicker: the next one begins anew
             assert output.read_bytes() == expected
             output.unlink()
@@ -529,9 +529,14 @@ def check_killed(
         left.append(sum(packet.kind in FRAME_KINDS for packet in iterate_packets(io.BytesIO(data), strict=False)))
     child, _ = start(rig, output)
     _, err = child.communicate(timeout=120)
-    assert (child.returncode, err) == (0, "")
+    assert (child.returncode, said(err)) == (0, [])
     assert output.read_bytes() == expected
     return left
+
+
+def said(err: str) -> list[str]:
+    """What was printed, without the progress of an encode that takes seconds where the machine is busy."""
+    return [line for line in err.splitlines() if not line.startswith("frames: ")]
 
 
 def after(frames: int) -> Callable[[subprocess.Popen[str], Path], None]:
