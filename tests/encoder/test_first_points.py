@@ -20,7 +20,7 @@ from decogs.encoder.keyframe.first_points.cloud import (
     too_near,
 )
 from decogs.encoder.keyframe.first_points.depth_filling import continues, fill_depths
-from decogs.encoder.keyframe.first_points.frusta import DepthRange, shared_depths, upward
+from decogs.encoder.keyframe.first_points.frusta import DepthRange, shared_depths
 from decogs.encoder.keyframe.first_points.guesses import guess_points, random_in_frustum
 from decogs.encoder.keyframe.first_points.plane_sweep import DepthMap, choose_planes, sweep
 from decogs.encoder.keyframe.first_points.views import inside, make_view, pixel_rays, project
@@ -185,22 +185,12 @@ def test_arrangements(degrees: Sequence[float], share: float, pixels: float) -> 
 
 @pytest.mark.parametrize("degrees", [range(0, 360, 45), (0, 50, 100, 150)], ids=["all round", "half round"])
 def test_far_apart_a_floor_is_found_by_level_planes(degrees: Sequence[float]) -> None:
-    """Planes that face the camera alone put .89 and .87 of the points on a surface, level ones too .98 and .95."""
+    """Planes that face the camera alone put .89 and .87 of the points on a surface, level ones too .98."""
     cameras = ring(degrees)
     points = first_points(cameras, photograph_all(cameras), cap=4000)
     confirmed = points.seen.any(axis=0)
     assert confirmed.sum() > 3000
     assert (distance_to_surface(points.xyz[confirmed]) < 2 * 3.0 / FOCAL).mean() > 0.93
-
-
-def test_cameras_on_their_sides_sweep_no_level_planes() -> None:
-    upright = [make_view(camera, np.zeros((HEIGHT, WIDTH, 3), np.float32), 1.0) for camera in ring((0, 90, 180, 270))]
-    np.testing.assert_allclose(upward(upright), (0, 0, 1), atol=1e-6)
-    turned = [
-        replace(view, rotation=np.array([[0, sign, 0], [-sign, 0, 0], [0, 0, 1]]) @ view.rotation)
-        for view, sign in zip(upright, (1, -1, 1, -1), strict=True)
-    ]
-    assert upward(turned) is None
 
 
 @pytest.mark.parametrize("cap", [1, 37, 800])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError
+from decogs.formats.geometry.up_direction import up_of
 from decogs.rig.numerics import floats
 from decogs.rig.parallel import Each, side_by_side
 
@@ -42,7 +43,6 @@ from .frusta import (
     points_within,
     rig_size,
     shared_depths,
-    upward,
 )
 from .guesses import guess_points
 from .plane_sweep import DepthMap, choose_planes, sweep
@@ -219,7 +219,7 @@ def _sweep_all(
 ) -> tuple[list[Candidates], list[DepthMap | None]]:
     """Every view's candidates and depth map; no candidates and None for views without shared depths."""
     neighbours = choose_neighbours(views, samples, _COMPARED_NEIGHBOURS)
-    up = upward(views)
+    up = up_of([view.camera for view in views])
 
     def depth_map(i: int) -> DepthMap | None:
         depths, matched = ranges[i], [views[j] for j in neighbours[i][:_MATCHED_NEIGHBOURS]]

@@ -17,8 +17,6 @@ _MAX_DEPTH_RATIO = 400.0
 _MIN_OVERLAP = 0.1
 """Least share of a view's pixels that another view sees at a shared depth."""
 _PEAK_FRACTION = 0.25
-_MIN_UPRIGHT = 0.5
-"""Length of the mean of all pictures' upward directions from which cameras stand upright."""
 _MIN_RANGE_POINTS = 200
 """Least points in a view for its depth range to come from them."""
 
@@ -105,13 +103,6 @@ def median_angle(xyz: NDArray[np.float64], a: SweepView, b: SweepView) -> float:
     u, v, _ = project(b, xyz)
     shown = inside(b, u, v)
     return float(np.median(_angles(xyz[shown] if shown.any() else xyz, a, b)))
-
-
-def upward(views: Sequence[SweepView]) -> NDArray[np.float64] | None:
-    """The world direction (3,) that is up in the mean of the pictures; None where they do not agree."""
-    mean = -np.mean([view.rotation[1] for view in views], axis=0)
-    length = float(np.linalg.norm(mean))
-    return mean / length if length > _MIN_UPRIGHT else None
 
 
 def choose_neighbours(
