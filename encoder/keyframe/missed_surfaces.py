@@ -9,7 +9,7 @@ import numpy as np
 from decogs.formats.splats import FloatArray, Splats, empty_splats
 from decogs.rig.pictures.ingest import View
 
-from ..backends import Drawable, TrainingKernel
+from ..backends import Optimiser, TrainingKernel
 from ..settings.frame import EmergenceSettings
 from ..training.seeding import SearchView, find_seeds, missed_pixels
 
@@ -19,9 +19,9 @@ _MIN_SHARE = 3e-3
 
 
 def missed_surfaces(
-    kernel: TrainingKernel, scene: Drawable, count: int, views: Sequence[View], pictures: Sequence[FloatArray]
+    kernel: TrainingKernel, scene: Optimiser, views: Sequence[View], pictures: Sequence[FloatArray]
 ) -> Splats:
-    """New Gaussians for surfaces that four or more views miss in a ``scene`` of so many; mostly none.
+    """New Gaussians for surfaces of the ``scene`` that four or more views miss; mostly none.
 
     ``pictures`` (3, H, W) of the ``views``. See `training.seeding`, which finds what emerges in later frames.
     """
@@ -32,6 +32,6 @@ def missed_surfaces(
         recorded = np.ones(picture.shape[1:], bool) if view.recorded is None else view.recorded
         rgb, alpha, depth = (np.array(plane) for plane in (drawn.rgb, drawn.alpha, drawn.depth))
         searched.append(SearchView(view.pinhole, picture, rgb, alpha, depth, recorded, view.recorded))
-    degree = scene.sh_degree if isinstance(scene, Splats) else scene.splats.sh_degree
+    degree = scene.splats.sh_degree
     found = find_seeds(searched, [missed_pixels(view) for view in searched], _SEARCH, degree)
-    return found if len(found) >= _MIN_SHARE * count else empty_splats(degree)
+    return found if len(found) >= _MIN_SHARE * len(scene) else empty_splats(degree)

@@ -519,16 +519,15 @@ class _KeyframeTraining:
         """
         if self._stage is not None and self._stage.is_closed:
             return
-        count = len(self._optimiser)
-        missed = missed_surfaces(self._kernel, self._optimiser, count, self._views, self._pictures)
+        missed = missed_surfaces(self._kernel, self._optimiser, self._views, self._pictures)
         if self._stage is not None:
             missed = take_splats(missed, ~self._stage.free(missed.means))
         if not len(missed):
             return
-        room = self._settings.seen_cap - count
-        if room < len(missed):
+        most = self._settings.seen_cap - len(missed)
+        if most < len(self._optimiser):
             opaque_first = np.argsort(-self._optimiser.splats.opacity_logits, kind="stable")
-            self._optimiser.keep(np.sort(opaque_first[: self._settings.seen_cap - len(missed)]))
+            self._optimiser.keep(np.sort(opaque_first[:most]))
         self._optimiser.append(missed)
         self._view_gradients = self._kernel.view_gradients(len(self._optimiser))
 

@@ -33,7 +33,8 @@ _MIN_CELLS = 160
 _MIN_CELL_VIEWS = 3
 """Cells that so many views must show as sky."""
 _MAX_DEVIATION_LEVELS = 1.5
-"""Of the views' colours in a cell, where their rays are compared at infinity: more is no sky, or one that moves."""
+"""Of the views' colours in a cell, where their rays are compared at infinity: more is no sky, or one that moves.
+Small differences of each camera's colours are taken off before."""
 _MAX_DEVIATION_RATIO = 1.15
 """Of this deviation to that on any nearer sphere: a wall agrees best where it stands."""
 _SPHERES = (1.0, 2.0, 4.0, 8.0)
@@ -44,6 +45,11 @@ _MIN_CONFIRMED_SHARE = 0.5
 """Of the cells of a region of sky that several views see, the share that they must show in the same colour."""
 _SAME_LEVELS = 8.0
 """Difference of colour up to which two views show the same in a cell."""
+_MAX_OFFSET_LEVELS = 8.0
+"""Of a camera's colour of the sky from that of the others, which is taken off: what is left of differences between
+cameras where colours are brightest."""
+_ALIGNMENTS = 3
+"""How often: the mean of all moves with each camera's."""
 _GROWN_LEVELS = 6.0
 """Difference from the dome up to which a pixel shows it, beside what is surely sky, in 8-bit steps or noise."""
 _GROWTHS = 3
@@ -78,7 +84,7 @@ class OpenAir:
     def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> OpenAir:
         """The same with what stands before the sky in a later frame, from the ``used`` ones of its pictures."""
         seen = [stage_view(views[i], frame.training[i], _DECISION_PIXELS) for i in used]
-        return replace(self, hull=_hull(seen, _Sky.of(seen).masks))
+        return replace(self, hull=_hull(_Sky.of(seen)))
 
     def backdrop(self, sh_degree: int) -> Splats:
         """Gaussians for the sky, together opaque."""
@@ -134,7 +140,7 @@ def _shown_sky(views: Sequence[View], frame: RigFrame, centre: NDArray[np.float6
     """The sky of the pictures, if they show one."""
     seen = [stage_view(*each, _DECISION_PIXELS) for each in zip(views, frame.training, strict=True)]
     sky = _Sky.of(seen)
-    return _open_air(seen, sky, centre, size) if _is_sky(seen, sky, centre, size) else None
+    return _open_air(sky, centre, size) if _is_sky(seen, sky, centre, size) else None
 
 
 def _rig(views: Sequence[View]) -> tuple[NDArray[np.float64], float]:
@@ -142,21 +148,21 @@ def _rig(views: Sequence[View]) -> tuple[NDArray[np.float64], float]:
     return np.mean([camera_centre(camera) for camera in cameras], axis=0), rig_extent(cameras)
 
 
-def _open_air(seen: Sequence[StageView], sky: _Sky, centre: NDArray[np.float64], size: float) -> OpenAir:
+def _open_air(sky: _Sky, centre: NDArray[np.float64], size: float) -> OpenAir:
     ways = _spread_directions(sky.axes)
     cells = sky.cells(ways)
     reach = round(_BESIDE_DEGREES / _CELL_DEGREES)
     near = cv2.dilate((sky.counts > 0).astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)).ravel()[cells] > 0
-    return OpenAir(_hull(seen, sky.masks), centre, size, ways[near], sky.colours.reshape(-1, 3)[cells[near]])
+    return OpenAir(_hull(sky), centre, size, ways[near], sky.colours.reshape(-1, 3)[cells[near]])
 
 
-def _hull(seen: Sequence[StageView], masks: Sequence[BoolArray]) -> Hull:
-    """What may stand before the sky: all but its ``masks``, with a margin."""
+def _hull(sky: _Sky) -> Hull:
+    """What may stand before the sky: all but its masks, with a margin."""
     kernel = np.ones((2 * _MARGIN_PIXELS + 1,) * 2, np.uint8)
     return Hull(
         [
             SubjectView(view.camera, cv2.dilate((~mask).view(np.uint8), kernel).view(np.bool_))
-            for view, mask in zip(seen, masks, strict=True)
+            for view, mask in zip(sky.views, sky.masks, strict=True)
         ]
     )
 
@@ -165,9 +171,11 @@ def _hull(seen: Sequence[StageView], masks: Sequence[BoolArray]) -> Hull:
 class _Sky:
     """The pixels (H, W) of each view that show the sky, and its colours by direction.
 
-    ``axes`` (3, 3): rows, the last one up. ``counts`` (h, w): views that show each cell as sky; ``colours`` (h, w, 3).
+    ``views``: with pictures whose skies have one colour. ``axes`` (3, 3): rows, the last one up. ``counts`` (h, w):
+    views that show each cell as sky; ``colours`` (h, w, 3).
     """
 
+    views: Sequence[StageView]
     axes: NDArray[np.float64]
     masks: Sequence[BoolArray]
     counts: NDArray[np.int64]
@@ -182,6 +190,7 @@ class _Sky:
         surely = [_upper_regions(view, up) for view, up in zip(seen, above, strict=True)]
         cells = [_cells(way, axes) for way in ways]
         labels = [_regions(mask, 4) for mask in surely]
+        seen = _aligned(seen, surely, cells)
         counts, colours, _ = _by_cell(seen, surely, cells)
         masks = []
         for view, label, cell in zip(seen, labels, cells, strict=True):
@@ -194,7 +203,7 @@ class _Sky:
                 _grown(view, mask, up, dome.reshape(-1, 3)[cell])
                 for view, mask, up, cell in zip(seen, masks, above, cells, strict=True)
             ]
-        return _Sky(axes, masks, counts.reshape(shape), dome)
+        return _Sky(seen, axes, masks, counts.reshape(shape), dome)
 
     def cells(self, ways: NDArray[np.float64]) -> NDArray[np.int64]:
         """Cells, counted by row, of directions (P, 3)."""
@@ -209,9 +218,11 @@ def _is_sky(seen: Sequence[StageView], sky: _Sky, centre: NDArray[np.float64], s
     outside = np.concatenate(others)
     if not len(outside) or np.median(inside) <= np.median(outside):
         return False
-    deviation = _deviation(seen, sky, [_directions(view) for view in seen])
-    if not deviation <= _MAX_DEVIATION_LEVELS:
+    far = [_directions(view) for view in seen]
+    if not _deviation(sky.views, sky, far) <= _MAX_DEVIATION_LEVELS:
         return False
+    # Nothing is taken off here: a wall with a gradient is alike at infinity but for an offset a camera.
+    deviation = _deviation(seen, sky, far)
     for radius in _SPHERES:
         nearer = _deviation(seen, sky, [_on_sphere(view, centre, radius * size) for view in seen])
         if deviation > _MAX_DEVIATION_RATIO * nearer:
@@ -219,9 +230,9 @@ def _is_sky(seen: Sequence[StageView], sky: _Sky, centre: NDArray[np.float64], s
     return True
 
 
-def _deviation(seen: Sequence[StageView], sky: _Sky, ways: Sequence[NDArray[np.float64]]) -> float:
+def _deviation(views: Sequence[StageView], sky: _Sky, ways: Sequence[NDArray[np.float64]]) -> float:
     """Median over cells of the deviation of views' colours where their rays point ``ways``, in 8-bit steps."""
-    counts, _, squares = _by_cell(seen, sky.masks, [sky.cells(way) for way in ways])
+    counts, _, squares = _by_cell(views, sky.masks, [sky.cells(way) for way in ways])
     enough = counts >= _MIN_CELL_VIEWS
     return 255 * float(np.sqrt(np.median(squares[enough]))) if enough.any() else np.inf
 
@@ -243,6 +254,22 @@ def _by_cell(
     mean = total / np.maximum(count, 1)[:, None]
     variance = (square / np.maximum(count, 1)[:, None] - mean**2).mean(1)
     return count, mean.astype(np.float32), np.maximum(variance, 0).astype(np.float32)
+
+
+def _aligned(
+    seen: Sequence[StageView], masks: Sequence[BoolArray], cells: Sequence[NDArray[np.int64]]
+) -> list[StageView]:
+    """The views without small differences of each camera's colours from those of all, in what several show as sky."""
+    aligned = list(seen)
+    for _ in range(_ALIGNMENTS):
+        counts, colours, _ = _by_cell(aligned, masks, cells)
+        for index, (view, mask, cell) in enumerate(zip(aligned, masks, cells, strict=True)):
+            shared = mask.ravel() & (counts[cell] >= 2)
+            if shared.any():
+                picture = view.picture - np.median(view.picture.reshape(-1, 3)[shared] - colours[cell[shared]], axis=0)
+                if 255 * np.abs(picture - seen[index].picture).max() <= _MAX_OFFSET_LEVELS:
+                    aligned[index] = replace(view, picture=floats(picture))
+    return aligned
 
 
 def _upper_regions(view: StageView, above: BoolArray) -> BoolArray:

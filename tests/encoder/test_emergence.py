@@ -312,9 +312,15 @@ def test_a_thing_without_first_points_is_found(wall: Splats, cap: int) -> None:
 
 def test_where_nothing_is_missed_nothing_is_added(wall: Splats) -> None:
     kernel, views = CpuKernel(2), [View(camera, camera, None) for camera in cameras()]
-    pictures = [kernel.forward(wall, view.pinhole).rgb.copy() for view in views]
-    assert len(missed_surfaces(kernel, wall, len(wall), views, pictures)) == 0
-    with_ball = [kernel.forward(join_splats(wall, sphere()), view.pinhole).rgb.copy() for view in views]
-    found = missed_surfaces(kernel, wall, len(wall), views, with_ball)
-    assert len(found) > 100
-    assert len(missed_surfaces(kernel, wall, 400 * len(found), views, with_ball)) == 0, "too few to be something"
+
+    def found(scene: Splats, shown: Splats) -> int:
+        pictures = [kernel.forward(shown, view.pinhole).rgb.copy() for view in views]
+        return len(missed_surfaces(kernel, kernel.optimiser(scene), views, pictures))
+
+    with_ball = join_splats(wall, sphere())
+    assert found(wall, wall) == 0
+    missed = found(wall, with_ball)
+    assert missed > 100
+    unseen = take_splats(wall, np.zeros(400 * missed, np.intp))
+    large = join_splats(wall, replace(unseen, means=unseen.means - np.float32([0, 0, 1000])))
+    assert found(large, with_ball) == 0, "so few are left out"

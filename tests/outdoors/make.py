@@ -11,7 +11,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -61,16 +61,25 @@ class Block(Body):
         return unit(turned(self.axes.T, out))
 
 
-Sky = Callable[[Array, int], Array]
-"""Linear RGB (3, N) of directions (3, N), in a frame."""
+SUN = unit(np.array([[0.5], [-0.45], [0.75]], np.float32))[:, 0]
+LOW_SUN = unit(np.array([[0.3], [0.8], [0.33]], np.float32))[:, 0]
+"""Behind the cameras, and where they look."""
 
 
-def clear(ways: Array, frame: int) -> Array:
+def clear(ways: Array, frame: int, sun: Array = SUN) -> Array:
     """Blue, paler towards the horizon, brightest around the sun."""
     lift = np.clip(ways[2], 0, 1)
-    glow = np.clip(turned(np.stack([SUN] * 3), ways)[0], 0, 1) ** 6
+    glow = np.clip(turned(np.stack([sun] * 3), ways)[0], 0, 1) ** 6
     low, high = _column(0.55, 0.68, 0.85), _column(0.14, 0.3, 0.68)
     return np.asarray(low + (high - low) * lift**0.6 + 0.12 * glow, np.float32)
+
+
+def low_sun(ways: Array, frame: int) -> Array:
+    """A clear sky with the sun in it, which clips, as does what is beside it."""
+    beside = np.clip(turned(np.stack([LOW_SUN] * 3), ways)[0], 0, 1)
+    return np.asarray(
+        clear(ways, frame, LOW_SUN) + 0.5 * beside**60 + 30.0 * (beside > np.cos(np.deg2rad(0.7))), np.float32
+    )
 
 
 def clouds(ways: Array, frame: int) -> Array:
@@ -89,13 +98,38 @@ def overcast(ways: Array, frame: int) -> Array:
     return np.asarray(_column(0.74, 0.76, 0.8) * (0.82 + 0.18 * np.clip(ways[2], 0, 1)), np.float32)
 
 
-SUN = unit(np.array([[0.5], [-0.45], [0.75]], np.float32))[:, 0]
-SKIES: dict[str, tuple[Sky, float, float]] = {
-    "clear": (clear, 1.0, 0.3),
-    "clouds": (clouds, 0.8, 0.35),
-    "overcast": (overcast, 0.0, 0.75),
+def steady(frame: int) -> float:
+    """Light that stays."""
+    return 1.0
+
+
+def falling(frame: int) -> float:
+    """Light that falls to a half in five frames, as a cloud comes before the sun."""
+    return 1 - 0.1 * min(frame, 5)
+
+
+Sky = Callable[[Array, int], Array]
+"""Linear RGB (3, N) of directions (3, N), in a frame."""
+
+
+@dataclass(frozen=True)
+class Weather:
+    """How a ``sky`` looks, how much light comes from its ``sun`` and from all of it, and the ``share`` in a frame."""
+
+    sky: Sky
+    sun: float
+    ambient: float
+    toward: Array = field(default_factory=lambda: SUN)
+    share: Callable[[int], float] = steady
+
+
+SKIES = {
+    "clear": Weather(clear, 1.0, 0.3),
+    "clouds": Weather(clouds, 0.8, 0.35),
+    "overcast": Weather(overcast, 0.0, 0.75),
+    "sun": Weather(low_sun, 1.0, 0.3, LOW_SUN),
+    "falling": Weather(clouds, 0.8, 0.35, share=falling),
 }
-"""How each sky looks, and how much light comes from its sun and from all of it."""
 
 
 def meadow(seed: int) -> list[Body]:
@@ -171,7 +205,8 @@ def render(
     camera: Camera, bodies: Sequence[Body], sky: str, frame: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Linear RGB (H, W, 3), and depth (H, W), infinite in the sky, of the middle of each pixel's first sample."""
-    look, sun, ambient = SKIES[sky]
+    weather = SKIES[sky]
+    share = np.float32(weather.share(frame))
     shape = (camera.height * GRID, camera.width * GRID)
     y, x = ((np.indices(shape) + 0.5) / GRID).reshape(2, -1)
     ways = np.stack([*ray_slopes(camera, x, y), np.ones_like(x)]).astype(np.float32)
@@ -189,8 +224,9 @@ def render(
         depth = body.entry(origin, ways[:, rays])
         closer = depth < nearest[rays]
         nearest[rays[closer]], owner[rays[closer]] = depth[closer], index
-    image = look(unit(ways), frame)
-    lamp = [Lamp((300 * SUN).astype(np.float32), -SUN, np.full(3, sun * 300.0**2, np.float32))] if sun else []
+    image = weather.sky(unit(ways), frame) * share
+    strength = np.full(3, share * weather.sun * 300.0**2, np.float32)
+    lamp = [Lamp((300 * weather.toward).astype(np.float32), -weather.toward, strength)] if weather.sun else []
     order = np.argsort(owner, kind="stable")[np.count_nonzero(owner == -2) :]
     points = origin + nearest[order] * ways[:, order]
     normals, colours = np.empty_like(points), np.empty_like(points)
@@ -204,6 +240,7 @@ def render(
             normals[:, first:stop] = body.normals(met)
             colours[:, first:stop] = body.paint.colours(body.own(met) + 0.8 * index)
     lit = light(points, normals, lamp, bodies)
+    ambient = share * np.float32(weather.ambient)
     image[:, order] = colours * (lit + ambient * (0.6 + 0.4 * normals[2]) * _column(0.95, 1.0, 1.08))
     grid = image.reshape(3, camera.height, GRID, camera.width, GRID)
     return grid.mean((2, 4)).transpose(1, 2, 0), nearest.reshape(shape)[::GRID, ::GRID]

@@ -23,6 +23,9 @@ FRAMES, SIZE, LEFT_OUT = 300, (72, 96), ("cam05", "cam11")
 EARLY, SLOW, LAST = slice(15, 26), slice(165, 186), slice(289, 300)
 """Frames that are compared: in the middle ones performers are slowest."""
 TAKES = {"mattes": "take", "plain stage": "take", "room": "home"}
+KEYFRAMES = 3
+"""Of neighbouring frames, whose mean later frames are compared with: in the room, those of one frame differ by .7 dB
+from seed to seed, and so do those of two frames."""
 MAX_FALL = 1.0
 """dB from early frames to slow ones. Where what training missed was not selected again, a plain stage lost 4 dB."""
 MAX_CPU_RATIO = 1.25
@@ -68,16 +71,19 @@ def test_ten_seconds_lose_no_quality_and_nothing_grows(
     seen = Observed()
     encode_rig(rig, tmp_path / "take.dgs", "live", progress=seen, **options)
     for frame in range(0, FRAMES, 20):
-        around = slice(max(1, frame - 5), frame + 6)
+        near = slice(max(1, frame - 5), frame + 6)
         names = ("training_psnr", "held_out_psnr", "gaussians", "bytes", "cpu_seconds", "selected")
-        print(frame, *(f"{name} {seen.mean(name, around):.2f}" for name in names), f"{seen.memory[frame] >> 20} MiB")
-    for frame in (20, 175, 299):
-        own = encode_rig(rig, tmp_path / f"{frame}.dgs", "live", frames=slice(frame, frame + 1), **options)
-        keyframe, later = own.frames[0].held_out_psnr, seen.reports[frame].held_out_psnr
-        assert keyframe is not None
-        assert later is not None
-        print(f"{frame}: {later:.2f} dB, its own keyframe {keyframe:.2f}")
-        assert later > keyframe - below_keyframe
+        print(frame, *(f"{name} {seen.mean(name, near):.2f}" for name in names), f"{seen.memory[frame] >> 20} MiB")
+    for frame in (20, 175, 298):
+        around = range(frame - KEYFRAMES // 2, frame + KEYFRAMES // 2 + 1)
+        own = [
+            encode_rig(rig, tmp_path / f"{i}.dgs", "live", frames=slice(i, i + 1), **options).frames[0].held_out_psnr
+            for i in around
+        ]
+        keyframes = float(np.mean([each for each in own if each is not None]))
+        later = seen.mean("held_out_psnr", slice(around.start, around.stop))
+        print(f"{frame}: {later:.2f} dB, keyframes of its own {keyframes:.2f}")
+        assert later > keyframes - below_keyframe
     assert seen.mean("training_psnr", SLOW) > seen.mean("training_psnr", EARLY) - MAX_FALL
     assert max(report.gaussians for report in seen.reports) <= round(MAX_GROWTH * seen.reports[0].gaussians)
     assert seen.mean("cpu_seconds", LAST) < MAX_CPU_RATIO * seen.mean("cpu_seconds", EARLY)

@@ -12,7 +12,7 @@ from decogs.formats.rigs import open_rig
 from decogs.rig.pictures.ingest import Ingest, RigFrame, View
 from decogs.rig.stage.open_air import OpenAir, _directions, _upper_regions, find_open_air, open_air_of
 from decogs.rig.stage.views import StageView
-from outdoors.make import SKIES, cameras, write_meadow
+from outdoors.make import cameras, write_meadow
 
 SIZE, VIEWS = (96, 72), slice(0, 13, 3)
 Meadow = tuple[Ingest, RigFrame, list[np.ndarray], np.ndarray]
@@ -42,7 +42,7 @@ def _points(view: View, depths: np.ndarray) -> np.ndarray:
     return np.asarray(camera_centre(view.pinhole) + depths[rows, columns][:, None] * ways)
 
 
-@pytest.mark.parametrize("sky", SKIES)
+@pytest.mark.parametrize("sky", ["clear", "clouds", "overcast", "sun"])
 def test_the_sky_is_found_and_hardly_anything_else(meadow: Callable[[str], Meadow], sky: str) -> None:
     ingest, frame, depths, points = meadow(sky)
     air = find_open_air(ingest.views, frame, points)
@@ -106,13 +106,39 @@ def test_a_wall_that_stands_near_is_no_sky(meadow: Callable[[str], Meadow]) -> N
     assert find_open_air(ingest.views, RigFrame(0, pictures, []), points) is None
 
 
+def _with_skies(meadow: Meadow, change: Callable[[int], np.ndarray | float]) -> RigFrame:
+    """The frame with another sky in each camera: ``change`` of its number is added."""
+    _, frame, depths, _ = meadow
+    pictures = [
+        np.where(np.isinf(depth), picture + change(number), picture).astype(np.float32)
+        for number, (picture, depth) in enumerate(zip(frame.training, depths, strict=True))
+    ]
+    return RigFrame(0, pictures, [])
+
+
 def test_what_looks_different_from_every_side_is_no_sky(meadow: Callable[[str], Meadow]) -> None:
-    """However far away: every second camera sees it 10 levels darker than its neighbours do."""
-    ingest, frame, depths, points = meadow("clear")
-    pictures = []
-    for number, (picture, depth) in enumerate(zip(frame.training, depths, strict=True)):
-        pictures.append(np.where(np.isinf(depth), picture - 0.04 * (number % 2), picture).astype(np.float32))
-    assert find_open_air(ingest.views, RigFrame(0, pictures, []), points) is None
+    """However far away: each camera sees it grow darker by 10 levels to another side than its neighbours do."""
+    made = meadow("clear")
+    darker = np.linspace(0, 0.04, SIZE[0])
+    frame = _with_skies(made, lambda number: -(darker if number % 2 else darker[::-1]))
+    assert find_open_air(made[0].views, frame, made[3]) is None
+
+
+@pytest.mark.parametrize(("levels", "is_found"), [(6, True), (30, False)])
+def test_cameras_of_slightly_other_colour_see_one_sky(
+    meadow: Callable[[str], Meadow], levels: float, is_found: bool
+) -> None:
+    """So much less red in every second one; more is no small rest of differences between cameras."""
+    made = meadow("clear")
+    red = np.array([1.0, 0, 0])[:, None, None]
+    frame = _with_skies(made, lambda number: -levels / 255 * (number % 2) * red)
+    air = find_open_air(made[0].views, frame, made[3])
+    assert (air is not None) is is_found
+    if air is not None:
+        alike = find_open_air(made[0].views, made[1], made[3])
+        assert alike is not None
+        for subject, same in zip(air.hull.views, alike.hull.views, strict=True):
+            assert (subject.subject != same.subject).mean() < 0.01
 
 
 def test_a_later_frame_s_subject_stands_before_the_sky(meadow: Callable[[str], Meadow]) -> None:
