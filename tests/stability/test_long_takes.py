@@ -26,6 +26,8 @@ TAKES = {"mattes": "take", "plain stage": "take", "room": "home"}
 KEYFRAMES = 3
 """Of neighbouring frames, whose mean later frames are compared with: in the room, those of one frame differ by .7 dB
 from seed to seed, and so do those of two frames."""
+MAX_BELOW_EARLIER, MAX_BELOW_LAST = 1.5, 0.5
+"""dB below these. A take keeps the luck of its first keyframe where nothing moves: 1 dB in the room at frame 20."""
 MAX_FALL = 1.0
 """dB from early frames to slow ones. Where what training missed was not selected again, a plain stage lost 4 dB."""
 MAX_CPU_RATIO = 1.25
@@ -61,10 +63,8 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("take", "below_keyframe"), [("mattes", 0.5), ("plain stage", 1.0), ("room", 0.5)])
-def test_ten_seconds_lose_no_quality_and_nothing_grows(
-    tmp_path: Path, rigs: Callable[[str], Path], take: str, below_keyframe: float
-) -> None:
+@pytest.mark.parametrize("take", TAKES)
+def test_ten_seconds_lose_no_quality_and_nothing_grows(tmp_path: Path, rigs: Callable[[str], Path], take: str) -> None:
     rig, options = rigs(TAKES[take]), dict(OPTIONS)
     if take == "mattes":
         options["mattes"] = MatteChoice(masks=rig / "truth/mattes")
@@ -74,7 +74,7 @@ def test_ten_seconds_lose_no_quality_and_nothing_grows(
         near = slice(max(1, frame - 5), frame + 6)
         names = ("training_psnr", "held_out_psnr", "gaussians", "bytes", "cpu_seconds", "selected")
         print(frame, *(f"{name} {seen.mean(name, near):.2f}" for name in names), f"{seen.memory[frame] >> 20} MiB")
-    for frame in (20, 175, 298):
+    for frame, most_below in ((20, MAX_BELOW_EARLIER), (175, MAX_BELOW_EARLIER), (298, MAX_BELOW_LAST)):
         around = range(frame - KEYFRAMES // 2, frame + KEYFRAMES // 2 + 1)
         own = [
             encode_rig(rig, tmp_path / f"{i}.dgs", "live", frames=slice(i, i + 1), **options).frames[0].held_out_psnr
@@ -83,7 +83,7 @@ def test_ten_seconds_lose_no_quality_and_nothing_grows(
         keyframes = float(np.mean([each for each in own if each is not None]))
         later = seen.mean("held_out_psnr", slice(around.start, around.stop))
         print(f"{frame}: {later:.2f} dB, keyframes of its own {keyframes:.2f}")
-        assert later > keyframes - below_keyframe
+        assert later > keyframes - most_below
     assert seen.mean("training_psnr", SLOW) > seen.mean("training_psnr", EARLY) - MAX_FALL
     assert max(report.gaussians for report in seen.reports) <= round(MAX_GROWTH * seen.reports[0].gaussians)
     assert seen.mean("cpu_seconds", LAST) < MAX_CPU_RATIO * seen.mean("cpu_seconds", EARLY)
