@@ -33,10 +33,12 @@ _QUATERNION_STEP_MAX = 0.5
 _COORDINATE_MAX = 1e12
 _RIGID_TOLERANCE = 1e-2
 
+CONSTANT_EFFECTS = ("colour_mismatch", "lens_falloff")
+"""Effects in which cameras differ from the scene in every frame alike: the header has them, no frame."""
 EFFECTS = frozenset(
     {
         *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),
-        "colour_mismatch",
+        *CONSTANT_EFFECTS,
         *EFFECT_FIELDS,
     }
 )
@@ -57,10 +59,10 @@ class StreamHeader:
     ``cameras``: the rig's, held-out ones included, which ``held_out`` names; ``fps`` None when unknown;
     ``first_frame``: the rig's index of the stream's frame 0; ``background``: the colour trained against,
     display-referred RGB; ``corrected``: the cameras whose corrections every frame codes; ``camera_colours``: by camera,
-    how its exposure, red and blue differ from the scene's in every frame; ``settings``: the encoder's own, for people,
-    never needed for decoding; ``subject``: the scene is a subject without its surroundings, its alpha what it covers;
-    ``presentation``: how it wants to be shown; ``sound``: the tracks that are played together, which packets beside the
-    frames hold.
+    how its exposure, red and blue differ from the scene's in every frame, and how its border darkens; ``settings``: the
+    encoder's own, for people, never needed for decoding; ``subject``: the scene is a subject without its surroundings,
+    its alpha what it covers; ``presentation``: how it wants to be shown; ``sound``: the tracks that are played
+    together, which packets beside the frames hold.
     """
 
     cameras: tuple[Camera, ...]
@@ -90,8 +92,8 @@ class StreamHeader:
 
     def camera_effects(self, name: str) -> tuple[str, ...]:
         """The effects in which a camera's pictures differ from the scene's own."""
-        constant = ("colour_mismatch",) if name in self.camera_colours else ()
-        return (*constant, *self.corrected.of(name))
+        own = {name: self.camera_colours[name]} if name in self.camera_colours else {}
+        return (*constant_effects(own), *self.corrected.of(name))
 
     @property
     def coefficients(self) -> int:
@@ -340,11 +342,12 @@ def _floats(values: Any) -> list[float]:
 
 def _camera_document(camera: Camera, colours: Correction | None) -> dict[str, Any]:
     return {
-        **({} if colours is None else {"colours": [colours.exposure, colours.red, colours.blue]}),
+        **({"colours": [colours.exposure, colours.red, colours.blue]} if colours and _has_colours(colours) else {}),
         "cx": float(camera.cx),
         "cy": float(camera.cy),
         "distortion": _floats(camera.distortion),
         "distortion_model": camera.distortion_model,
+        **({"falloff": colours.falloff} if colours and colours.falloff else {}),
         "fx": float(camera.fx),
         "fy": float(camera.fy),
         "height": int(camera.height),
@@ -411,19 +414,36 @@ def _check_corrected(header: StreamHeader) -> None:
 
 
 def _camera_colours(fields: _Fields) -> dict[str, Correction]:
-    """Of the cameras that have them: exposure, red and blue."""
+    """Of the cameras that have them: exposure, red and blue, and the fall-off."""
     colours = {}
     for number, document in enumerate(fields.list("cameras", 1, MAX_CAMERAS)):
         camera = _Fields(document, f"cameras[{number}].")
-        if camera.has("colours"):
-            colours[camera.name("name")] = Correction(*camera.integers("colours", 3, LARGEST))
+        if camera.has("colours") or camera.has("falloff"):
+            gains = camera.integers("colours", 3, LARGEST) if camera.has("colours") else (0, 0, 0)
+            falloff = camera.integer("falloff", 1, LARGEST) if camera.has("falloff") else 0
+            exposure, red, blue = gains
+            colours[camera.name("name")] = Correction(exposure, red, blue, falloff=falloff)
     return colours
 
 
+def constant_effects(colours: Corrections) -> tuple[str, ...]:
+    """The effects in which cameras with these ``colours`` differ from the scene in every frame."""
+    mismatch = any(map(_has_colours, colours.values()))
+    falloff = any(each.falloff for each in colours.values())
+    return (*(("colour_mismatch",) if mismatch else ()), *(("lens_falloff",) if falloff else ()))
+
+
+def _has_colours(colours: Correction) -> bool:
+    """Whether a camera has colours of its own, zeros among them; those with a fall-off alone have none."""
+    return colours.has_gain or not colours.falloff
+
+
 def _check_colours(header: StreamHeader) -> None:
-    """Colours are there where the effect is named, and not of a camera that training did not see."""
-    if bool(header.camera_colours) != ("colour_mismatch" in header.effects):
-        _refuse("effects and the cameras' colours disagree on colour_mismatch")
+    """Colours are there where their effects are named, and not of a camera that training did not see."""
+    there = constant_effects(header.camera_colours)
+    for effect in CONSTANT_EFFECTS:
+        if (effect in there) != (effect in header.effects):
+            _refuse(f"effects and the cameras' colours disagree on {effect}")
     if set(header.camera_colours) & set(header.held_out):
         _refuse("a camera that training did not see has colours")
 

@@ -22,6 +22,10 @@ COLOUR_STEP = 2.0**-12
 ANGLE_STEP = 2.0**-18
 """Radians per unit of ``yaw``, ``pitch`` and ``roll``."""
 
+FALLOFF_STEP = 2.0**-12
+"""Of a lens's fall-off k per unit of ``falloff``; light is divided by (1 + k t^2)^2 at the tangent t of the angle to
+the camera's axis."""
+
 LARGEST = (1 << 15) - 1
 """Largest magnitude of a number that the encoder writes; a block may hold one below it, the last of 16 bits."""
 
@@ -61,7 +65,8 @@ class Correction:
     """How one camera's picture of one frame differs from what the scene shows; all integers, 0 for no difference.
 
     ``exposure``, in all channels, and ``red`` and ``blue``, in theirs, add to the logarithm of a colour's odds, in
-    COLOUR_STEP. ``yaw``, ``pitch``, ``roll`` turn the camera about its own y, x and z axes, in ANGLE_STEP.
+    COLOUR_STEP. ``yaw``, ``pitch``, ``roll`` turn the camera about its own y, x and z axes, in ANGLE_STEP. ``falloff``
+    darkens the picture's border, in FALLOFF_STEP; it is the same in every frame.
     """
 
     exposure: int = 0
@@ -70,6 +75,7 @@ class Correction:
     yaw: int = 0
     pitch: int = 0
     roll: int = 0
+    falloff: int = 0
 
     @property
     def odds_gain(self) -> tuple[float, float, float]:
@@ -89,9 +95,14 @@ class Correction:
         return bool(self.yaw or self.pitch or self.roll)
 
     @property
-    def is_coloured(self) -> bool:
+    def has_gain(self) -> bool:
         """Whether exposure or white balance is changed at all."""
         return bool(self.exposure or self.red or self.blue)
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether colours are changed at all, of the whole picture or at its border."""
+        return bool(self.has_gain or self.falloff)
 
 
 Corrections = Mapping[str, Correction]
@@ -105,8 +116,8 @@ def whole_steps(value: float, step: float) -> int:
 
 def with_colours(correction: Correction, colours: Correction) -> Correction:
     """The correction of a camera whose ``colours`` differ from the scene's in every frame."""
-    added = {name: getattr(correction, name) + getattr(colours, name) for name in ("exposure", "red", "blue")}
-    return replace(correction, **added)
+    names = ("exposure", "red", "blue", "falloff")
+    return replace(correction, **{name: getattr(correction, name) + getattr(colours, name) for name in names})
 
 
 def turn(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:

@@ -9,12 +9,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from decogs.codec.packets.corrections import Correction
-from decogs.formats.cameras import Camera, turned
+from decogs.codec.packets.corrections import FALLOFF_STEP, Correction
+from decogs.formats.cameras import Camera, as_pinhole, ray_slopes, turned
 from decogs.formats.splats import FloatArray
 
 from ..rasterise.straight_alpha import straight_colours
+from .lens import undistort_pixels
 
 if TYPE_CHECKING:
     from ..rasterise import Rendering
@@ -30,7 +32,26 @@ def as_it_stood(camera: Camera, correction: Correction) -> Camera:
     return replace(camera, world_to_camera=pose)
 
 
-def apply_gain(colours: FloatArray, odds_gain: tuple[float, float, float]) -> FloatArray:
+def colour_factors(correction: Correction, camera: Camera) -> FloatArray:
+    """What a camera's picture multiplies odds by, (3,), or (H, W, 3) where its border is darker.
+
+    Source: SPEC.md, "Corrections".
+    """
+    gain = np.asarray(correction.odds_gain, np.float32)
+    return gain * darkening(correction, camera)[..., None] if correction.falloff else gain
+
+
+def darkening(correction: Correction, camera: Camera) -> FloatArray:
+    """Share of the light that fall-off leaves at each pixel (H, W) of the camera's picture; 1 where its lens ends."""
+    rows, columns = np.indices((camera.height, camera.width)) + 0.5
+    pixels = undistort_pixels(camera, np.stack([columns, rows], axis=-1))
+    x, y = ray_slopes(as_pinhole(camera), pixels[..., 0], pixels[..., 1])
+    with np.errstate(invalid="ignore"):
+        left = (1 + correction.falloff * FALLOFF_STEP * (x * x + y * y)) ** -2
+    return np.asarray(np.where(np.isfinite(left), left, 1), np.float32)
+
+
+def apply_gain(colours: FloatArray, odds_gain: tuple[float, float, float] | NDArray[np.floating]) -> FloatArray:
     """(..., 3) display-referred colours whose odds v / (1 - v) are multiplied per channel; new, same dtype.
 
     Black and white stay, and so does what lies beyond them. Source: SPEC.md, "Corrections".
@@ -43,17 +64,19 @@ def apply_gain(colours: FloatArray, odds_gain: tuple[float, float, float]) -> Fl
 
 
 def with_recorded_colours(
-    seen: Rendering, correction: Correction, behind: tuple[float, float, float] | None
+    seen: Rendering, camera: Camera, correction: Correction, behind: tuple[float, float, float] | None
 ) -> Rendering:
-    """The rendering with the camera's exposure and white balance; the same object when it has none.
+    """The rendering with the camera's exposure, white balance and fall-off; the same object when it has none.
 
-    ``behind``: the colour that a subject is over, which stays as it is; None for a whole scene.
+    ``camera``: of the picture, its lens included. ``behind``: the colour that a subject is over, which stays as it is;
+    None for a whole scene.
     """
     if not correction.is_coloured:
         return seen
+    factors = colour_factors(correction, camera)
     if behind is None:
-        return replace(seen, image=apply_gain(seen.image, correction.odds_gain))
+        return replace(seen, image=apply_gain(seen.image, factors))
     covered = seen.alpha[..., None]
     rest = (1 - covered) * np.asarray(behind, np.float32)
-    own = apply_gain(straight_colours(seen.image - rest, seen.alpha), correction.odds_gain)
+    own = apply_gain(straight_colours(seen.image - rest, seen.alpha), factors)
     return replace(seen, image=covered * own + rest)

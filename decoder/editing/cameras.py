@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, replace
 
-from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.header import CONSTANT_EFFECTS, StreamHeader, constant_effects
 from decogs.codec.packets.corrections import EFFECT_FIELDS, CorrectedCameras, Corrections
 from decogs.formats.errors import UsageError
 
@@ -38,14 +38,15 @@ def with_cameras(header: StreamHeader, name_of: Callable[[str], str | None]) -> 
         held_out=_renamed(header.held_out, named),
         corrected=corrected,
         camera_colours=colours,
-        effects=with_effects_of(header.effects, corrected, bool(colours)),
+        effects=with_effects_of(header.effects, corrected, colours),
         presentation=replace(presentation, first_view=named.get(presentation.first_view or "")),
     )
 
 
-def with_effects_of(effects: Iterable[str], corrected: CorrectedCameras, coloured: bool) -> tuple[str, ...]:
+def with_effects_of(effects: Iterable[str], corrected: CorrectedCameras, colours: Corrections) -> tuple[str, ...]:
     """The effects with those of cameras exactly where cameras have them (SPEC.md, "Header packet")."""
-    has_effect = {"colour_mismatch": coloured} | {effect: bool(getattr(corrected, effect)) for effect in EFFECT_FIELDS}
+    has_effect = dict.fromkeys(CONSTANT_EFFECTS, False) | dict.fromkeys(constant_effects(colours), True)
+    has_effect |= {effect: bool(getattr(corrected, effect)) for effect in EFFECT_FIELDS}
     named = dict.fromkeys([*effects, *has_effect])
     return tuple(effect for effect in named if has_effect.get(effect, True))
 

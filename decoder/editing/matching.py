@@ -167,7 +167,7 @@ def _common(one: StreamHeader, other: StreamHeader) -> StreamHeader:
         held_out=tuple(dict.fromkeys((*one.held_out, *other.held_out))),
         corrected=corrected,
         camera_colours=colours,
-        effects=with_effects_of((*one.effects, *other.effects), corrected, bool(colours)),
+        effects=with_effects_of((*one.effects, *other.effects), corrected, colours),
         licence=_both(one.licence, other.licence),
         source_text=_both(one.source_text, other.source_text),
     )

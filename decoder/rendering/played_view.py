@@ -77,7 +77,8 @@ class PlayedView:
     def _coloured(self, seen: Rendering) -> Rendering:
         if self._correction is None:
             return seen
-        recorded = with_recorded_colours(seen, self._correction, behind_subject(self._header, self._background))
+        behind = behind_subject(self._header, self._background)
+        recorded = with_recorded_colours(seen, self._plan.camera, self._correction, behind)
         recorded.image.flags.writeable = False
         return recorded
 

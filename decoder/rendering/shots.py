@@ -133,7 +133,9 @@ def _laid_out(header: StreamHeader, shot: Shot, show: Show, layout: Layout) -> R
     how = show.of_view | {"scale": 1.0, "undistorted": False}
     seen = layout.render(header, shot.frame.splats, camera, how)
     behind = behind_subject(header, show.over(header))
-    return seen if correction is None else with_recorded_colours(seen, correction, behind)
+    if correction is None:
+        return seen
+    return with_recorded_colours(seen, camera, replace(correction, falloff=0), behind)  # no lens made this picture
 
 
 def with_layers(

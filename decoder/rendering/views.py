@@ -53,7 +53,9 @@ def render_view(
     pairs = max_pairs(header, len(splats), plan, max_memory)
     drawn = render(splats, plan.render_camera, background, threads=threads, max_pairs=pairs)
     seen = through_lens(plan, drawn, background)
-    return seen if correction is None else with_recorded_colours(seen, correction, behind_subject(header, background))
+    if correction is None:
+        return seen
+    return with_recorded_colours(seen, plan.camera, correction, behind_subject(header, background))
 
 
 def camera_of(header: StreamHeader, view: str | Camera) -> Camera:
@@ -115,7 +117,7 @@ def standing_camera(
 
 def recorded_colour(colour: tuple[float, float, float], correction: Correction | None) -> tuple[float, float, float]:
     """A colour of the scene as the corrected camera recorded it."""
-    if correction is None or not correction.is_coloured:
+    if correction is None or not correction.has_gain:
         return colour
     red, green, blue = apply_gain(np.asarray(colour, np.float32), correction.odds_gain).tolist()
     return red, green, blue

@@ -14,7 +14,13 @@ from dataclasses import dataclass, replace
 
 from decogs.formats.errors import UsageError
 
-from ..settings.effects import CAMERA_EFFECTS, EFFECT_BASES, EFFECT_NAMES, PRESET_EFFECTS, WITHDRAWN
+from ..settings.effects import (
+    CAMERA_EFFECTS,
+    EFFECT_BASES,
+    EFFECT_NAMES,
+    PRESET_EFFECTS,
+    WITHDRAWN,
+)
 from ..settings.encode import EncodeSettings
 from .camera_shake import CameraShake
 from .colour_drift import EXPOSURE_DRIFT, WHITE_BALANCE_DRIFT
@@ -22,6 +28,7 @@ from .colour_mismatch import ColourMismatch
 from .content import WITHOUT
 from .effect import Decision, Effect
 from .lens_distortion import LensDistortion
+from .lens_falloff import LensFalloff
 from .sensor_noise import SensorNoise
 
 AUTO, ALL, NONE = EFFECT_BASES
@@ -36,7 +43,10 @@ EFFECTS: tuple[Effect, ...] = (
 )
 """The effects that the analysis of a rig decides about, in the order of its table."""
 
-_WITHOUT = {**WITHOUT, **{effect.name: effect.disabled for effect in EFFECTS}}
+KEYFRAME_FINDINGS: tuple[Effect, ...] = (LensFalloff(),)
+"""Effects that an encode's keyframe decides about by itself; the analysis shows them to people."""
+
+_WITHOUT = {**WITHOUT, **{effect.name: effect.disabled for effect in (*EFFECTS, *KEYFRAME_FINDINGS)}}
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 A frame decides about motion and light (`enabled`). With motion, it decides about emergence and disappearance while it
 trains: new points are searched where views still miss a surface (`training/seeding.py`), and Gaussians go that became
-transparent. The keyframe decides about view dependence (`keyframe/harmonics.py`).
+transparent. The keyframe decides about view dependence (`keyframe/harmonics.py`) and about lenses that darken their
+borders (`input/compensation/falloff.py`).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.header import StreamHeader, constant_effects
 from decogs.codec.packets.corrections import CorrectedCameras, Corrections
 from decogs.codec.packets.sound import SoundTrack
 from decogs.codec.scene.lattice import Lattice
@@ -47,7 +47,7 @@ def stream_header(
         first_frame=first,
         effects=(
             *_carried(settings, rig, sh_degree),
-            *(("colour_mismatch",) if colours else ()),
+            *constant_effects(colours),
             *corrected.effects,
         ),
         held_out=tuple(view.camera.name for view in ingest.held_out_views),

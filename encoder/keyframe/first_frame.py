@@ -19,8 +19,7 @@ from decogs.rig.stage.stage import PlainStage, Stage, find_stage
 
 from ..backends import TrainingKernel
 from ..input.compensation import Corrector
-from ..input.compensation.frame import match_colours
-from ..input.compensation.matching import find_colours
+from ..input.compensation.frame import find_camera_colours, match_colours
 from ..output.reports import OnKeyframeStep
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
@@ -104,9 +103,10 @@ def train_first_frame(
     with watch.stage("first_points"):
         points, stage = points_of(frame)
         frame_stage = stage
-        if header is None and settings.corrections.match_colours:
+        if header is None:
             shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
-            colours = find_colours(ingest.views, frame.training, *shared)
+            colours = find_camera_colours(frame, ingest.views, settings.corrections, *shared)
+        if header is None and colours:
             frame = match_colours(frame, ingest.views, colours)
             frame_stage = find_stage(ingest.views, frame)
             stage = None if stage is None else frame_stage

@@ -14,7 +14,10 @@ FRAME_EFFECTS = ("motion", "appearance_change", "emergence", "disappearance")
 CAMERA_EFFECTS = ("colour_mismatch", "exposure_drift", "white_balance_drift", "camera_shake", "lens_distortion")
 """Drift and mismatch of single cameras, compensated before other effects are detected."""
 
-EFFECT_NAMES = (*FRAME_EFFECTS, *CAMERA_EFFECTS, "view_dependence", "sensor_noise")
+KEYFRAME_EFFECTS = ("view_dependence", "lens_falloff")
+"""Effects that the keyframe decides about."""
+
+EFFECT_NAMES = (*FRAME_EFFECTS, *CAMERA_EFFECTS, *KEYFRAME_EFFECTS, "sensor_noise")
 
 WITHDRAWN = {"high_dynamic_range": "an encode always clips at white"}
 """Former names, and why they went."""
@@ -22,7 +25,7 @@ WITHDRAWN = {"high_dynamic_range": "an encode always clips at white"}
 EFFECT_BASES = ("auto", "all", "none")
 """Bases of a choice: the detected effects, every effect, or none."""
 
-PRESET_EFFECTS = (*FRAME_EFFECTS, "view_dependence")
+PRESET_EFFECTS = (*FRAME_EFFECTS, *KEYFRAME_EFFECTS)
 """Effects of what the cameras see, which frames and the keyframe decide about; those of a preset by itself."""
 
 
@@ -35,3 +38,4 @@ class CorrectionSettings(Checked):
     shake: tuple[str, ...] = ()  # cameras that rotate about their centre
     lens: Mapping[str, Annotated[float, Within(-10, 10)]] = field(default_factory=dict)  # k1 that calibration lacks
     match_colours: bool = False  # constant differences between all cameras, too
+    falloff: bool = True  # darker borders of their pictures, where they surely are

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import reduce
 from operator import attrgetter, getitem
 from typing import Annotated, Any
@@ -76,11 +76,18 @@ class EncodeSettings(Checked):
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log.
 
-        Omitted are what the bench's dense baseline does not read, and unset budgets, targets, corrections and choices
-        of effects, so that streams started without such settings can still be resumed.
+        Omitted are what the bench's dense baseline does not read, unset budgets, targets, corrections and choices
+        of effects, so that streams started without such settings can still be resumed, and whether fall-off is looked
+        for: what was found is in the header's cameras.
         """
-        document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(self) == usual]
+        shown = replace(
+            self,
+            corrections=replace(self.corrections, falloff=CorrectionSettings.falloff),
+            effects=tuple(name for name in self.effects if name != "lens_falloff"),
+        )
+        document: dict[str, Any] = json.loads(json.dumps(asdict(shown)))
+        del document["corrections"]["falloff"]
+        omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(shown) == usual]
         if (self.effects, self.detect_per_frame) == (PRESET_EFFECTS, False):
             omitted += ["effects", "detect_per_frame"]
         if not self.closed:

@@ -19,6 +19,8 @@ export interface RigCamera extends Lens, LensModel {
   readonly worldToCamera: readonly (readonly number[])[];
   /** What this camera's colours differ by in every frame; null where the stream does not say. */
   readonly colours: CameraColours | null;
+  /** How much darker its pictures are towards the border, in 1/4096 (SPEC section 6, "Corrections"); 0: not at all. */
+  readonly falloff: number;
 }
 
 /** How a camera recorded colours, in 1/4096 of a natural logarithm (SPEC section 6, "Corrections"). */

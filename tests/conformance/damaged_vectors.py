@@ -16,6 +16,7 @@ from good_vectors import (
     PLANES_OF_140,
     coloured_header,
     corrected_header,
+    darkened_header,
     faults,
     moving,
     worked_example,
@@ -277,6 +278,21 @@ def damaged_colours() -> Iterator[Vector]:
     }
     for name, payload in wrong.items():
         yield with_header(f"damaged/bad-header-colours-{name}", payload, "bad-header")
+    dark = darkened_header()
+
+    def darker(number: int, falloff: Any) -> bytes:
+        cameras = deepcopy(dark["cameras"])
+        cameras[number]["falloff"] = falloff
+        return canonical({**dark, "cameras": cameras})
+
+    wrong = {
+        "none": darker(0, 0),
+        "held-out-camera": darker(3, 5),
+        "effect-not-named": canonical({**dark, "effects": ["colour_mismatch"]}),
+        "absent": canonical({**corrected_header(), "effects": [*corrected_header()["effects"], "lens_falloff"]}),
+    }
+    for name, payload in wrong.items():
+        yield with_header(f"damaged/bad-header-falloff-{name}", payload, "bad-header")
 
 
 def with_header(name: str, payload: bytes, reason: str | None) -> Vector:

@@ -404,6 +404,21 @@ def good_colours() -> Iterator[Vector]:
 
     alone = {name: value for name, value in coloured_header().items() if name != "corrected"}
     yield opened(document={**alone, "effects": ["colour_mismatch"]}).good("good/colours-alone")
+    yield opened(document=darkened_header()).good("good/falloff")
+
+
+def darkened_header() -> dict[str, Any]:
+    """Cameras whose borders are darker: one of them with colours of its own, one without; one is held out."""
+    document = {name: value for name, value in coloured_header().items() if name != "corrected"}
+    falloffs = {"a": 1, "b": 32_767}
+    cameras = [
+        {
+            **{member: value for member, value in camera.items() if member != "colours" or camera["name"] == "a"},
+            **({"falloff": falloffs[camera["name"]]} if camera["name"] in falloffs else {}),
+        }
+        for camera in document["cameras"]
+    ]
+    return {**document, "cameras": cameras, "effects": ["colour_mismatch", "lens_falloff"]}
 
 
 def good_subjects() -> Iterator[Vector]:

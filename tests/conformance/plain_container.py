@@ -25,6 +25,7 @@ CORRECTIONS = {
 EFFECTS = {
     *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),
     "colour_mismatch",
+    "lens_falloff",
     *CORRECTIONS,
 }
 COEFFICIENTS = {"none": (0,), "opencv": (4, 5, 8), "fisheye": (4,)}

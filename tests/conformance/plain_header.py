@@ -194,9 +194,10 @@ def check_header(header: dict[str, Any]) -> None:
     expect(is_names(header["effects"]))
     expect(is_names(header["held_out"]) and set(header["held_out"]) <= set(names))
     check_corrected(header, set(names) - set(header["held_out"]))
-    coloured = {camera["name"] for camera in cameras if "colours" in camera}
-    expect(not coloured & set(header["held_out"]))
-    expect(bool(coloured) == ("colour_mismatch" in header["effects"]))
+    for member, effect in (("colours", "colour_mismatch"), ("falloff", "lens_falloff")):
+        different = {camera["name"] for camera in cameras if member in camera}
+        expect(not different & set(header["held_out"]))
+        expect(bool(different) == (effect in header["effects"]))
     for text in ("axes", "units", "source_text", "licence", "writer"):
         expect(isinstance(header[text], str) and len(header[text]) <= 65_536)
     expect(isinstance(header["settings"], dict))
@@ -229,6 +230,7 @@ def check_camera(camera: Any) -> None:
     colours = camera.get("colours", [0, 0, 0])
     expect(isinstance(colours, list) and len(colours) == 3)
     expect(all(is_integer(number, -32_767, 32_767) for number in colours))
+    expect(is_integer(camera.get("falloff", 1), 1, 32_767))
 
 
 def is_rotation(r: list[list[float]]) -> bool:

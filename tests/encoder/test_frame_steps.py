@@ -355,7 +355,7 @@ def test_the_keyframe_of_a_cut_is_trained_on_matched_colours(monkeypatch: pytest
         raise TrainingError("that is all")
 
     monkeypatch.setattr(encode_frame, "train_keyframe", train)
-    views = [Stub(camera=Stub(name="cam00"))]
+    views = [Stub(camera=Stub(name="cam00"), pinhole=None)]
     scene, memory = Stub(header=Stub(camera_colours={"cam00": colour})), memory_of(views=Stub(release=lambda: None))
     frame, task = pending(3, scene=scene, memory=memory, kind=Kind.CUT), Task(RigFrame(3, [PICTURE], []))
     with pytest.raises(TrainingError):

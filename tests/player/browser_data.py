@@ -158,7 +158,7 @@ def recording_cameras() -> tuple[Camera, ...]:
 
 
 def write_recording_stream(path: Path, *, subject: bool = False) -> None:
-    """Two frames of a rig whose cameras bend, drift, shake and have colours of their own."""
+    """Two frames of a rig whose cameras bend, drift, shake, and have colours and darker borders of their own."""
     corrected = CorrectedCameras(("barrel", "drifts"), ("drifts",), ("fisheye", "drifts"))
     header = StreamHeader(
         cameras=recording_cameras(),
@@ -166,9 +166,13 @@ def write_recording_stream(path: Path, *, subject: bool = False) -> None:
         sh_degree=1,
         fps=30.0,
         background=(0.2, 0.3, 0.5),
-        effects=("lens_distortion", "colour_mismatch", *corrected.effects),
+        effects=("lens_distortion", "colour_mismatch", "lens_falloff", *corrected.effects),
         corrected=corrected,
-        camera_colours={"fisheye": Correction(exposure=-600, red=300, blue=-500), "drifts": Correction(red=200)},
+        camera_colours={
+            "fisheye": Correction(exposure=-600, red=300, blue=-500, falloff=2500),
+            "drifts": Correction(red=200, falloff=3500),
+            "barrel": Correction(falloff=1500),
+        },
         subject=subject,
     )
     state, _ = keyframe_state(quantise(scene(1500, 1, 3), header.lattice))

@@ -1,11 +1,12 @@
-var F=Math.PI/2-.001;function w({distortionModel:i,distortion:e}){return i==="fisheye"?G(e):N(e)}function N(i){let[e,r,a,t,d,c,l,p]=Array.from({length:8},(o,m)=>i[m]??0),n=o=>{let m=1+o*(c+o*(l+o*p)),s=(1+o*(e+o*(r+o*d)))/m,f=(e+o*(2*r+3*o*d)-s*(c+o*(2*l+3*o*p)))/m;return[s,f]},u=_(o=>{let[m,s]=n(o*o);return m>0&&m+2*o*o*s>0},16);return(o,m)=>{let[s,f]=[o,m];for(let h=15;;h--){let x=s*s+f*f,[g,b]=n(x),y=s*g+2*a*s*f+t*(x+2*s*s)-o,M=f*g+a*(x+2*f*f)+2*t*s*f-m,S=Math.abs(y)+Math.abs(M);if(h===0||!(S>1e-12))return S<1e-6&&x<u*u?[s,f]:null;let A=g+2*s*s*b+2*a*f+6*t*s,C=g+2*f*f*b+6*a*f+2*t*s,v=2*s*f*b+2*a*s+2*t*f,P=A*C-v*v;s-=(C*y-v*M)/P,f-=(A*M-v*y)/P}}}function G([i,e,r,a]){let t=c=>{let l=c*c;return 1+l*(3*i+l*(5*e+l*(7*r+l*9*a)))},d=_(c=>t(c)>0,F);return(c,l)=>{let p=Math.hypot(c,l);if(p===0)return[c,l];let n=Math.min(p,d);for(let u=15;;u--){let o=n*n,m=n*(1+o*(i+o*(e+o*(r+o*a))))-p;if(u===0||!(Math.abs(m)>1e-12)){let s=Math.tan(n)/p;return Math.abs(m)<1e-6?[c*s,l*s]:null}n=Math.min(d,Math.max(0,n-m/t(n)))}}}function _(i,e){for(let r=1;r<=4096;r++){if(i(r*e/4096))continue;let[a,t]=[(r-1)*e/4096,r*e/4096];for(let d=0;d<50;d++){let c=(a+t)/2;i(c)?a=c:t=c}return a}return e}var H=2**-12,j=2**-18,I=3,D=2,U=8192;var E=-1e9;function R(i,e,r){let a=r===1?.5:0,t=h=>r===1?h:Math.ceil(h/r)+1,[d,c]=[t(i.width),t(i.height)],l=new Float32Array(2*d*c).fill(E),p=w(e),n=[new T(i.width),new T(i.height)];for(let h=0,x=0;h<c;h++){let g=(a+h*r-i.cy)/i.fy;for(let b=0;b<d;b++,x+=2){let y=p((a+b*r-i.cx)/i.fx,g);y!==null&&(l[x]=y[0]*i.fx+i.cx,l[x+1]=y[1]*i.fy+i.cy,n[0].add(l[x]),n[1].add(l[x+1]))}}let[[u,o],[m,s]]=[n[0].pixels(),n[1].pixels()];for(let h=0;h<l.length;h+=2)l[h]!==E&&(l[h]-=u,l[h+1]-=m);let f={width:o-u,height:s-m,cx:i.cx-u,cy:i.cy-m};return{camera:{...i,...f,recording:null},cell:r,first:a,columns:d,rows:c,positions:l}}var T=class{constructor(e){this.size=e}size;least=1/0;most=-1/0;add(e){e<this.least&&(this.least=e),e>this.most&&(this.most=e)}pixels(){let{size:e}=this,r=Math.max(0,Math.floor(Math.min((I-1)*e,U-e)/2)),a=Math.max(Math.floor(this.least)-D,-r),t=Math.min(Math.ceil(this.most)+D,e+r);return a<t?[a,t]:[0,e]}};var L=`#version 300 es
+var F=Math.PI/2-.001;function w({distortionModel:s,distortion:t}){return s==="fisheye"?G(t):N(t)}function N(s){let[t,n,a,e,i,c,l,p]=Array.from({length:8},(o,u)=>s[u]??0),m=o=>{let u=1+o*(c+o*(l+o*p)),r=(1+o*(t+o*(n+o*i)))/u,f=(t+o*(2*n+3*o*i)-r*(c+o*(2*l+3*o*p)))/u;return[r,f]},d=L(o=>{let[u,r]=m(o*o);return u>0&&u+2*o*o*r>0},16);return(o,u)=>{let[r,f]=[o,u];for(let h=15;;h--){let x=r*r+f*f,[y,b]=m(x),g=r*y+2*a*r*f+e*(x+2*r*r)-o,M=f*y+a*(x+2*f*f)+2*e*r*f-u,S=Math.abs(g)+Math.abs(M);if(h===0||!(S>1e-12))return S<1e-6&&x<d*d?[r,f]:null;let A=y+2*r*r*b+2*a*f+6*e*r,C=y+2*f*f*b+6*a*f+2*e*r,v=2*r*f*b+2*a*r+2*e*f,P=A*C-v*v;r-=(C*g-v*M)/P,f-=(A*M-v*g)/P}}}function G([s,t,n,a]){let e=c=>{let l=c*c;return 1+l*(3*s+l*(5*t+l*(7*n+l*9*a)))},i=L(c=>e(c)>0,F);return(c,l)=>{let p=Math.hypot(c,l);if(p===0)return[c,l];let m=Math.min(p,i);for(let d=15;;d--){let o=m*m,u=m*(1+o*(s+o*(t+o*(n+o*a))))-p;if(d===0||!(Math.abs(u)>1e-12)){let r=Math.tan(m)/p;return Math.abs(u)<1e-6?[c*r,l*r]:null}m=Math.min(i,Math.max(0,m-u/e(m)))}}}function L(s,t){for(let n=1;n<=4096;n++){if(s(n*t/4096))continue;let[a,e]=[(n-1)*t/4096,n*t/4096];for(let i=0;i<50;i++){let c=(a+e)/2;s(c)?a=c:e=c}return a}return t}var H=2**-12,j=2**-18,I=3,_=2,U=8192;var E=-1e9;function R(s,t,n){let a=n===1?.5:0,e=h=>n===1?h:Math.ceil(h/n)+1,[i,c]=[e(s.width),e(s.height)],l=new Float32Array(2*i*c).fill(E),p=w(t),m=[new T(s.width),new T(s.height)];for(let h=0,x=0;h<c;h++){let y=(a+h*n-s.cy)/s.fy;for(let b=0;b<i;b++,x+=2){let g=p((a+b*n-s.cx)/s.fx,y);g!==null&&(l[x]=g[0]*s.fx+s.cx,l[x+1]=g[1]*s.fy+s.cy,m[0].add(l[x]),m[1].add(l[x+1]))}}let[[d,o],[u,r]]=[m[0].pixels(),m[1].pixels()];for(let h=0;h<l.length;h+=2)l[h]!==E&&(l[h]-=d,l[h+1]-=u);let f={width:o-d,height:r-u,cx:s.cx-d,cy:s.cy-u};return{camera:{...s,...f,recording:null},cell:n,first:a,columns:i,rows:c,positions:l}}var T=class{constructor(t){this.size=t}size;least=1/0;most=-1/0;add(t){t<this.least&&(this.least=t),t>this.most&&(this.most=t)}pixels(){let{size:t}=this,n=Math.max(0,Math.floor(Math.min((I-1)*t,U-t)/2)),a=Math.max(Math.floor(this.least)-_,-n),e=Math.min(Math.ceil(this.most)+_,t+n);return a<e?[a,e]:[0,t]}};var D=`#version 300 es
 precision highp float;
 precision highp sampler2D;
 uniform sampler2D accumulated, positions;
 uniform vec3 odds;
 uniform vec4 background, place;
 uniform vec2 size;
-uniform float cell;
+uniform vec2 focal, centre;
+uniform float cell, falloff;
 uniform bool bent;
 out vec4 result;
 vec4 at(ivec2 pixel) {
@@ -21,12 +22,16 @@ float far = ((A * d.x - 5.0 * A) * d.x + 8.0 * A) * d.x - 4.0 * A;
 vec2 near = ((A + 2.0) * d.yz - (A + 3.0)) * d.yz * d.yz + 1.0;
 return vec4(far, near, 1.0 - far - near.x - near.y);
 }
-vec4 through(vec2 pixel) {
+vec2 source(vec2 pixel) {
+if (!bent) return pixel;
 vec2 corner = floor(pixel / cell), part = pixel / cell - corner;
 ivec2 first = ivec2(corner);
 vec2 a = texelFetch(positions, first, 0).xy, b = texelFetch(positions, first + ivec2(1, 0), 0).xy;
 vec2 c = texelFetch(positions, first + ivec2(0, 1), 0).xy, d = texelFetch(positions, first + 1, 0).xy;
-vec2 from = (cell == 1.0 ? a : mix(mix(a, b, part.x), mix(c, d, part.x), part.y)) - 0.5;
+return cell == 1.0 ? a : mix(mix(a, b, part.x), mix(c, d, part.x), part.y);
+}
+vec4 through(vec2 position) {
+vec2 from = position - 0.5;
 if (any(lessThan(from, vec2(0.0))) || any(greaterThan(from, vec2(textureSize(accumulated, 0) - 1)))) return background;
 ivec2 middle = ivec2(floor(from));
 vec4 across = weights(from.x - float(middle.x)), down = weights(from.y - float(middle.y));
@@ -38,11 +43,14 @@ void main() {
 vec2 pixel = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y);
 result = vec4(0.0, 0.0, 0.0, background.a);
 if (any(lessThan(pixel, place.xy)) || any(greaterThan(pixel, place.zw))) return;
-vec4 seen = bent ? through(pixel) : at(ivec2(pixel));
+vec2 from = source(pixel), tangent = (from - centre) / focal;
+vec4 seen = bent ? through(from) : at(ivec2(pixel));
+float light = from.x < -1e8 ? 1.0 : 1.0 + falloff * dot(tangent, tangent);
+vec3 factors = odds / (light * light);
 float covered = max(clamp(seen.a, 0.0, 1.0), background.a);
 vec3 v = seen.rgb / max(covered, 1e-6);
 vec3 inside = clamp(v, 0.0, 1.0);
-vec3 recorded = min(odds * inside / (1.0 + (odds - 1.0) * inside), 1.0);
+vec3 recorded = min(factors * inside / (1.0 + (factors - 1.0) * inside), 1.0);
 result = vec4(clamp(mix(v, recorded, equal(v, inside)), 0.0, 1.0) * covered, covered);
 }
-`;var z=8,O=class{constructor(e,r){this.gl=e;this.program=r(L),this.texture=e.createTexture()}gl;program;texture;plan=null;planOf="";seenBy(e,{lens:r}){if(r===null)return e;let{width:a,height:t,fx:d,fy:c,cx:l,cy:p}=e,n=JSON.stringify([a,t,d,c,l,p,r.distortionModel,r.distortion]);(this.plan===null||this.planOf!==n)&&(this.plan=R(e,r,z),this.plan.positions.includes(E)&&(this.plan=R(e,r,1)),this.planOf=n,this.upload(this.plan));let{width:u,height:o,cx:m,cy:s}=this.plan.camera;return{...e,width:u,height:o,cx:m,cy:s}}use(e,{lens:r,odds:a,left:t,top:d,width:c,height:l},p){let{gl:n,program:u}=this;n.activeTexture(n.TEXTURE1),n.bindTexture(n.TEXTURE_2D,this.texture),n.activeTexture(n.TEXTURE0),n.useProgram(u.program),n.uniform1i(u.uniform("accumulated"),0),n.uniform1i(u.uniform("positions"),1),n.uniform4fv(u.uniform("background"),p),n.uniform3fv(u.uniform("odds"),a??[1,1,1]),n.uniform4f(u.uniform("place"),t,d,t+c,d+l),n.uniform2f(u.uniform("size"),e.width,e.height),n.uniform1f(u.uniform("cell"),this.plan?.cell??1),n.uniform1i(u.uniform("bent"),r===null?0:1)}dispose(){this.gl.deleteTexture(this.texture),this.gl.deleteProgram(this.program.program)}upload({columns:e,rows:r,positions:a}){let{gl:t}=this;t.activeTexture(t.TEXTURE1),t.bindTexture(t.TEXTURE_2D,this.texture),t.texImage2D(t.TEXTURE_2D,0,t.RG32F,e,r,0,t.RG,t.FLOAT,a);for(let d of[t.TEXTURE_MIN_FILTER,t.TEXTURE_MAG_FILTER])t.texParameteri(t.TEXTURE_2D,d,t.NEAREST);t.activeTexture(t.TEXTURE0)}};export{O as RecordedPass};
+`;var z=8,O=class{constructor(t,n){this.gl=t;this.program=n(D),this.texture=t.createTexture()}gl;program;texture;plan=null;planOf="";seenBy(t,{lens:n}){if(n===null)return t;let{width:a,height:e,fx:i,fy:c,cx:l,cy:p}=t,m=JSON.stringify([a,e,i,c,l,p,n.distortionModel,n.distortion]);(this.plan===null||this.planOf!==m)&&(this.plan=R(t,n,z),this.plan.positions.includes(E)&&(this.plan=R(t,n,1)),this.planOf=m,this.upload(this.plan));let{width:d,height:o,cx:u,cy:r}=this.plan.camera;return{...t,width:d,height:o,cx:u,cy:r}}use(t,n,a){let{gl:e,program:i}=this,{lens:c,odds:l,falloff:p,left:m,top:d,width:o,height:u}=n,r=this.seenBy(t,n);e.activeTexture(e.TEXTURE1),e.bindTexture(e.TEXTURE_2D,this.texture),e.activeTexture(e.TEXTURE0),e.useProgram(i.program),e.uniform1i(i.uniform("accumulated"),0),e.uniform1i(i.uniform("positions"),1),e.uniform4fv(i.uniform("background"),a),e.uniform3fv(i.uniform("odds"),l??[1,1,1]),e.uniform4f(i.uniform("place"),m,d,m+o,d+u),e.uniform2f(i.uniform("size"),t.width,t.height),e.uniform2f(i.uniform("focal"),r.fx,r.fy),e.uniform2f(i.uniform("centre"),r.cx,r.cy),e.uniform1f(i.uniform("falloff"),p),e.uniform1f(i.uniform("cell"),this.plan?.cell??1),e.uniform1i(i.uniform("bent"),c===null?0:1)}dispose(){this.gl.deleteTexture(this.texture),this.gl.deleteProgram(this.program.program)}upload({columns:t,rows:n,positions:a}){let{gl:e}=this;e.activeTexture(e.TEXTURE1),e.bindTexture(e.TEXTURE_2D,this.texture),e.texImage2D(e.TEXTURE_2D,0,e.RG32F,t,n,0,e.RG,e.FLOAT,a);for(let i of[e.TEXTURE_MIN_FILTER,e.TEXTURE_MAG_FILTER])e.texParameteri(e.TEXTURE_2D,i,e.NEAREST);e.activeTexture(e.TEXTURE0)}};export{O as RecordedPass};

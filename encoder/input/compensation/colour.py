@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.cameras.corrections import apply_gain
+from decogs.codec.packets.corrections import Correction
+from decogs.decoder.cameras.corrections import apply_gain, colour_factors
+from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, logit
 from decogs.rig.numerics import tukey
 
@@ -69,6 +71,14 @@ def remove_gain(picture: FloatArray, odds_gain: tuple[float, float, float]) -> F
     """A recorded picture (3, H, W) in the scene's own colours."""
     red, green, blue = odds_gain
     planes = apply_gain(picture.transpose(1, 2, 0), (1 / red, 1 / green, 1 / blue))
+    return np.ascontiguousarray(planes.transpose(2, 0, 1))
+
+
+def remove_colours(picture: FloatArray, correction: Correction, camera: Camera) -> FloatArray:
+    """A picture (3, H, W) that the camera recorded in the scene's own colours, as bright at its border."""
+    if not correction.falloff:
+        return remove_gain(picture, correction.odds_gain)
+    planes = apply_gain(picture.transpose(1, 2, 0), 1 / colour_factors(correction, camera))
     return np.ascontiguousarray(planes.transpose(2, 0, 1))
 
 

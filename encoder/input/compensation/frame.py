@@ -1,16 +1,40 @@
-"""A frame's compensated pictures: without its cameras' constant colour differences, and the drift of named ones."""
+"""A frame's compensated pictures: without its cameras' constant differences, and the drift of named ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from decogs.codec.packets.corrections import Corrections
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.packets.corrections import Correction, Corrections, with_colours
+from decogs.formats.splats import FloatArray
 from decogs.rig.pictures.ingest import RigFrame, View
 
+from ...settings.effects import CorrectionSettings
 from ...stopwatch import Stopwatch
 from . import CorrectionMemory, Corrector, RenderView
-from .colour import remove_gain
+from .colour import remove_colours
+from .falloff import falloff_corrections, find_falloff
+from .matching import find_colours
+
+
+def find_camera_colours(
+    frame: RigFrame, views: Sequence[View], settings: CorrectionSettings, xyz: FloatArray, seen: NDArray[np.bool_]
+) -> Corrections:
+    """How cameras differ in every frame: their fall-offs, and, without these, their gains.
+
+    ``xyz`` (P, 3): points of the surface, which the views see where ``seen`` (V, P).
+    """
+    falloffs: Corrections = {}
+    if settings.falloff:
+        falloffs = falloff_corrections(views, find_falloff(views, frame.training, xyz, seen))
+    if not settings.match_colours:
+        return falloffs
+    gains = find_colours(views, match_colours(frame, views, falloffs).training, xyz, seen)
+    none = Correction()
+    return {name: with_colours(gains.get(name, none), falloffs.get(name, none)) for name in {**gains, **falloffs}}
 
 
 def match_colours(frame: RigFrame, views: Sequence[View], colours: Corrections) -> RigFrame:
@@ -18,7 +42,7 @@ def match_colours(frame: RigFrame, views: Sequence[View], colours: Corrections) 
     if not colours:
         return frame
     pictures = [
-        remove_gain(picture, colours[view.camera.name].odds_gain) if view.camera.name in colours else picture
+        remove_colours(picture, colours[view.camera.name], view.pinhole) if view.camera.name in colours else picture
         for view, picture in zip(views, frame.training, strict=True)
     ]
     return replace(frame, training=pictures)

@@ -39,7 +39,7 @@ def find_colours(
     """
     counts = seen.sum(axis=0) >= _MIN_POINT_VIEWS
     points, seen = xyz[counts].astype(np.float64), seen[:, counts]
-    values = np.stack([_colours(view, picture, points) for view, picture in zip(views, pictures, strict=True)])
+    values = np.stack([colours_at(view, picture, points) for view, picture in zip(views, pictures, strict=True)])
     shifts, has_overlap = shifts_of_points(values, seen)
     if not has_overlap.any():
         return {}
@@ -48,7 +48,7 @@ def find_colours(
     return {name: correction for name, correction in corrections.items() if correction.is_coloured}
 
 
-def _colours(view: View, picture: FloatArray, points: NDArray[np.float64]) -> FloatArray:
+def colours_at(view: View, picture: FloatArray, points: NDArray[np.float64]) -> FloatArray:
     """The picture's colours (P, 3) around the points."""
     column, row, _ = project(view.pinhole, points)
     smooth = cv2.blur(picture.transpose(1, 2, 0), (3, 3))

@@ -20,6 +20,7 @@ const EFFECTS: ReadonlySet<string> = new Set([
   "view_dependence",
   "lens_distortion",
   "colour_mismatch",
+  "lens_falloff",
   ...CORRECTED_EFFECTS,
 ]);
 
@@ -100,6 +101,7 @@ function readCamera(value: JsonValue): RigCamera {
     worldToCamera: readPose(members),
     near: members.has("near") ? real("near", 0, 1e12) : 0,
     colours: members.has("colours") ? readColours(member(members, "colours")) : null,
+    falloff: members.has("falloff") ? integer(member(members, "falloff"), "falloff", 1, 32_767) : 0,
   };
 }
 
@@ -141,8 +143,10 @@ function checkCameras({ cameras, effects, heldOut }: StreamHeader): void {
   if (names.size < cameras.length) bad("two cameras have one name");
   if (!heldOut.every((name) => names.has(name))) bad("held_out names an unknown camera");
   const coloured = cameras.filter((camera) => camera.colours !== null);
-  if (coloured.some((camera) => heldOut.includes(camera.name))) bad("a held-out camera has colours");
+  const darkened = cameras.filter((camera) => camera.falloff !== 0);
+  if ([...coloured, ...darkened].some((camera) => heldOut.includes(camera.name))) bad("a held-out camera has colours");
   if (coloured.length > 0 !== effects.includes("colour_mismatch")) bad("colours and colour_mismatch disagree");
+  if (darkened.length > 0 !== effects.includes("lens_falloff")) bad("falloff and lens_falloff disagree");
 }
 
 function readCorrected(members: JsonObject, effects: readonly string[]): Map<string, string[]> {

@@ -14,6 +14,7 @@ export function cameraNote(header: StreamHeader, name: string): string | null {
   const missing: string[] = [];
   if (camera.distortionModel !== "none") missing.push("lens distortion");
   if (camera.colours !== null) missing.push("own colours");
+  if (camera.falloff !== 0) missing.push("darker border");
   for (const [effect, text] of EFFECTS) {
     if (header.corrected.get(effect)?.includes(name) === true) missing.push(text);
   }

@@ -40,8 +40,10 @@ export class RecordedPass {
   }
 
   /** Makes the pass ready to be drawn; what was accumulated is bound to unit 0. */
-  use(camera: PinholeCamera, { lens, odds, left, top, width, height }: Recording, background: readonly number[]): void {
+  use(camera: PinholeCamera, recording: Recording, background: readonly number[]): void {
     const { gl, program } = this;
+    const { lens, odds, falloff, left, top, width, height } = recording;
+    const drawn = this.seenBy(camera, recording);
     gl.activeTexture(gl.TEXTURE1);
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
     gl.activeTexture(gl.TEXTURE0);
@@ -52,6 +54,9 @@ export class RecordedPass {
     gl.uniform3fv(program.uniform("odds"), odds ?? [1, 1, 1]);
     gl.uniform4f(program.uniform("place"), left, top, left + width, top + height);
     gl.uniform2f(program.uniform("size"), camera.width, camera.height);
+    gl.uniform2f(program.uniform("focal"), drawn.fx, drawn.fy);
+    gl.uniform2f(program.uniform("centre"), drawn.cx, drawn.cy);
+    gl.uniform1f(program.uniform("falloff"), falloff);
     gl.uniform1f(program.uniform("cell"), this.plan?.cell ?? 1);
     gl.uniform1i(program.uniform("bent"), lens === null ? 0 : 1);
   }

@@ -11,7 +11,8 @@ uniform sampler2D accumulated, positions;
 uniform vec3 odds;
 uniform vec4 background, place;
 uniform vec2 size;
-uniform float cell;
+uniform vec2 focal, centre;
+uniform float cell, falloff;
 uniform bool bent;
 out vec4 result;
 vec4 at(ivec2 pixel) {
@@ -27,12 +28,16 @@ vec4 weights(float t) {
   vec2 near = ((A + 2.0) * d.yz - (A + 3.0)) * d.yz * d.yz + 1.0;
   return vec4(far, near, 1.0 - far - near.x - near.y);
 }
-vec4 through(vec2 pixel) {
+vec2 source(vec2 pixel) {
+  if (!bent) return pixel;
   vec2 corner = floor(pixel / cell), part = pixel / cell - corner;
   ivec2 first = ivec2(corner);
   vec2 a = texelFetch(positions, first, 0).xy, b = texelFetch(positions, first + ivec2(1, 0), 0).xy;
   vec2 c = texelFetch(positions, first + ivec2(0, 1), 0).xy, d = texelFetch(positions, first + 1, 0).xy;
-  vec2 from = (cell == 1.0 ? a : mix(mix(a, b, part.x), mix(c, d, part.x), part.y)) - 0.5;
+  return cell == 1.0 ? a : mix(mix(a, b, part.x), mix(c, d, part.x), part.y);
+}
+vec4 through(vec2 position) {
+  vec2 from = position - 0.5;
   if (any(lessThan(from, vec2(0.0))) || any(greaterThan(from, vec2(textureSize(accumulated, 0) - 1)))) return background;
   ivec2 middle = ivec2(floor(from));
   vec4 across = weights(from.x - float(middle.x)), down = weights(from.y - float(middle.y));
@@ -44,11 +49,14 @@ void main() {
   vec2 pixel = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y);
   result = vec4(0.0, 0.0, 0.0, background.a);
   if (any(lessThan(pixel, place.xy)) || any(greaterThan(pixel, place.zw))) return;
-  vec4 seen = bent ? through(pixel) : at(ivec2(pixel));
+  vec2 from = source(pixel), tangent = (from - centre) / focal;
+  vec4 seen = bent ? through(from) : at(ivec2(pixel));
+  float light = from.x < -1e8 ? 1.0 : 1.0 + falloff * dot(tangent, tangent);
+  vec3 factors = odds / (light * light);
   float covered = max(clamp(seen.a, 0.0, 1.0), background.a);
   vec3 v = seen.rgb / max(covered, 1e-6);
   vec3 inside = clamp(v, 0.0, 1.0);
-  vec3 recorded = min(odds * inside / (1.0 + (odds - 1.0) * inside), 1.0);
+  vec3 recorded = min(factors * inside / (1.0 + (factors - 1.0) * inside), 1.0);
   result = vec4(clamp(mix(v, recorded, equal(v, inside)), 0.0, 1.0) * covered, covered);
 }
 `;

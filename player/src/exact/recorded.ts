@@ -3,7 +3,7 @@
  * that of a subject, whose own colours are what is left when alpha is divided out.
  */
 import type { PinholeCamera, Recording } from "../geometry/camera";
-import { NOWHERE, cubicWeights, lensPlan, withOdds, type LensPlan } from "../geometry/recorded";
+import { NOWHERE, cubicWeights, lensPlan, lightLeft, withOdds, type LensPlan } from "../geometry/recorded";
 import type { Gaussians, StreamHeader } from "../scene";
 import type { ExactRenderer } from "./renderer";
 
@@ -13,7 +13,7 @@ const NOTHING = [0] as const;
 
 /** A picture that is as its pinhole camera sees it. */
 export function asSeen({ width, height }: PinholeCamera): Recording {
-  return { lens: null, odds: null, left: 0, top: 0, width, height };
+  return { lens: null, odds: null, falloff: 0, left: 0, top: 0, width, height };
 }
 
 /** RGBA, straight, opaque but for a subject; black, or nothing, beside the camera's own picture. */
@@ -31,7 +31,9 @@ export function recordedPixels(
   const { rgb, alpha } = exact.planes(gaussians, header.shDegree, drawn, background);
   const { width, height } = camera;
   const pixels = new Uint8ClampedArray(4 * width * height);
+  const { falloff } = recording;
   const odds = recording.odds ?? NO_ODDS;
+  const isColoured = recording.odds !== null || falloff !== 0;
   const [colour, covered] = [new Float64Array(3), Float64Array.of(1)];
   const [right, bottom] = [recording.left + recording.width, recording.top + recording.height];
   for (let y = 0, at = 0; y < height; y++) {
@@ -48,9 +50,13 @@ export function recordedPixels(
         pixels[at + 3] = Math.fround(255 * share);
         for (let c = 0; c < 3; c++) colour[c] = share > 0 ? Math.fround(colour[c] / share) : 0;
       }
+      const light =
+        plan === null
+          ? lightLeft(falloff, drawn, x + 0.5, y + 0.5)
+          : lightLeft(falloff, drawn, plan.positions[2 * pixel], plan.positions[2 * pixel + 1]);
       // Clamped, and rounded with halves to even, as a canvas' bytes are; products as the decoder's floats have them.
       for (let c = 0; c < 3; c++) {
-        pixels[at + c] = Math.fround(255 * (recording.odds === null ? colour[c] : withOdds(colour[c], odds[c])));
+        pixels[at + c] = Math.fround(255 * (isColoured ? withOdds(colour[c], odds[c] * light) : colour[c]));
       }
     }
   }

@@ -39,6 +39,8 @@ export interface Recording {
   readonly lens: LensModel | null;
   /** Multiply the odds v / (1 - v) of red, green and blue; null: nothing does. */
   readonly odds: readonly [number, number, number] | null;
+  /** Odds are divided by (1 + falloff t^2)^2 at the tangent t of the angle to the camera's axis; 0: nowhere. */
+  readonly falloff: number;
   /** The camera's own picture, in pixels of the canvas; nothing was recorded beside it. */
   readonly left: number;
   readonly top: number;

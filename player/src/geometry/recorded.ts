@@ -44,7 +44,8 @@ export function recordingOf(
   const scale = window.fx / camera.fx;
   const [width, height] = [scale * camera.width, scale * camera.height];
   const area = { left: (window.width - width) / 2, top: (window.height - height) / 2, width, height };
-  return { lens: isDistorted(camera) ? camera : null, odds: oddsOf(camera, correction), ...area };
+  const falloff = camera.falloff * COLOUR_STEP;
+  return { lens: isDistorted(camera) ? camera : null, odds: oddsOf(camera, correction), falloff, ...area };
 }
 
 function oddsOf({ colours }: RigCamera, correction: CameraCorrection | null): Recording["odds"] {
@@ -125,6 +126,13 @@ export function cubicWeights(t: number): readonly [number, number, number, numbe
   const far = (d: number): number => ((A * d - 5 * A) * d + 8 * A) * d - 4 * A;
   const [a, b, c] = [far(t + 1), near(t), near(1 - t)];
   return [a, b, c, 1 - a - b - c];
+}
+
+/** What fall-off leaves of the light at a point of the drawn pinhole's picture; 1 where its lens puts nothing. */
+export function lightLeft(falloff: number, drawn: PinholeCamera, x: number, y: number): number {
+  if (falloff === 0 || x === NOWHERE) return 1;
+  const [across, down] = [(x - drawn.cx) / drawn.fx, (y - drawn.cy) / drawn.fy];
+  return (1 + falloff * (across * across + down * down)) ** -2;
 }
 
 /** A colour with its odds multiplied; what lies outside 0 to 1 stays. */
