@@ -29,6 +29,7 @@ from .content import WITHOUT
 from .effect import Decision, Effect
 from .lens_distortion import LensDistortion
 from .lens_falloff import LensFalloff
+from .rolling_shutter import RollingShutter
 from .sensor_noise import SensorNoise
 
 AUTO, ALL, NONE = EFFECT_BASES
@@ -39,6 +40,7 @@ EFFECTS: tuple[Effect, ...] = (
     WHITE_BALANCE_DRIFT,
     CameraShake(),
     LensDistortion(),
+    RollingShutter(),
     SensorNoise(),
 )
 """The effects that the analysis of a rig decides about, in the order of its table."""

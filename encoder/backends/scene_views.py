@@ -10,26 +10,26 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
 
-from .late_view import LateView
+from .late_view import LateView, PictureClock
 from .protocol import FixedView, TrainingKernel
 
 
 class SceneViews(Sequence[FixedView]):
     """One fixed view for each of the ``cameras``, made when first needed.
 
-    A scene's pictures are asked for by scene: it is drawn unless the views have it already. ``late``: by camera, by
-    what part of a frame its pictures are later than their instant. ``recorded``: by camera, where its pictures were,
-    None meaning everywhere.
+    A scene's pictures are asked for by scene: it is drawn unless the views have it already. ``clocks``: of cameras
+    whose pictures are not taken at their instant. ``recorded``: by camera, where its pictures were, None meaning
+    everywhere.
     """
 
     def __init__(
         self,
         kernel: TrainingKernel,
         cameras: Callable[[], Sequence[Camera]],
-        late: Mapping[str, float] | None = None,
+        clocks: Mapping[str, PictureClock] | None = None,
         recorded: Mapping[str, NDArray[np.bool_] | None] | None = None,
     ) -> None:
-        self._kernel, self._cameras, self._late, self._recorded = kernel, cameras, late or {}, recorded or {}
+        self._kernel, self._cameras, self._clocks, self._recorded = kernel, cameras, clocks or {}, recorded or {}
         self._views: list[FixedView] = []
         self._drawn: Splats | None = None
 
@@ -52,8 +52,8 @@ class SceneViews(Sequence[FixedView]):
 
     def _view(self, camera: Camera) -> FixedView:
         view = self._kernel.fixed_view(camera, self._recorded.get(camera.name))
-        late = self._late.get(camera.name, 0.0)
-        return LateView(view, late) if late else view
+        clock = self._clocks.get(camera.name)
+        return view if clock is None else LateView(view, clock)
 
     def pictures(self, scene: Splats) -> list[FloatArray]:
         """This scene through the views, (3, H, W) each."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from decogs.formats.rigs.timeline import RigTime, RowTimes
 from decogs.formats.splats import Splats
 from decogs.rig.pictures.ingest import Ingest
 
 from ..backends import BLACK, TrainingKernel, training_kernel
+from ..backends.late_view import PictureClock
 from ..backends.scene_views import SceneViews
 from ..input.compensation import Corrector, RenderView, corrector_of
 from ..methods import method_of
@@ -61,9 +63,17 @@ class Context:
 
     def new_views(self) -> SceneViews:
         """The training views, in which nothing is drawn yet."""
-        late = self.ingest.rig.timeline.late() if _follows_frame_by_frame(self.settings) else None
-        recorded = {view.camera.name: view.recorded for view in self.ingest.views}
-        return SceneViews(self.kernel, lambda: [view.pinhole for view in self.ingest.views], late, recorded)
+        times = self.ingest.rig.timeline.row_times() if _follows_frame_by_frame(self.settings) else {}
+        if not self.settings.corrections.rolling_shutter:
+            times = {name: replace(each, readout=RigTime(0.0)) for name, each in times.items()}
+        views = self.ingest.views
+        clocks = {
+            view.camera.name: PictureClock(own, view.camera)
+            for view in views
+            if (own := times.get(view.camera.name, RowTimes())) != RowTimes()
+        }
+        recorded = {view.camera.name: view.recorded for view in views}
+        return SceneViews(self.kernel, lambda: [view.pinhole for view in self.ingest.views], clocks, recorded)
 
     def renderer(self, views: SceneViews, scene: Splats) -> RenderView:
         """Renders the ``scene`` through a training view, by number; ``views``: those kept from frame to frame."""

@@ -17,7 +17,10 @@ CAMERA_EFFECTS = ("colour_mismatch", "exposure_drift", "white_balance_drift", "c
 KEYFRAME_EFFECTS = ("view_dependence", "lens_falloff")
 """Effects that the keyframe decides about."""
 
-EFFECT_NAMES = (*FRAME_EFFECTS, *CAMERA_EFFECTS, *KEYFRAME_EFFECTS, "sensor_noise")
+RIG_EFFECTS = ("rolling_shutter",)
+"""Effects that the rig's files tell."""
+
+EFFECT_NAMES = (*FRAME_EFFECTS, *CAMERA_EFFECTS, *KEYFRAME_EFFECTS, *RIG_EFFECTS, "sensor_noise")
 
 WITHDRAWN = {"high_dynamic_range": "an encode always clips at white"}
 """Former names, and why they went."""
@@ -25,7 +28,7 @@ WITHDRAWN = {"high_dynamic_range": "an encode always clips at white"}
 EFFECT_BASES = ("auto", "all", "none")
 """Bases of a choice: the detected effects, every effect, or none."""
 
-PRESET_EFFECTS = (*FRAME_EFFECTS, *KEYFRAME_EFFECTS)
+PRESET_EFFECTS = (*FRAME_EFFECTS, *KEYFRAME_EFFECTS, *RIG_EFFECTS)
 """Effects of what the cameras see, which frames and the keyframe decide about; those of a preset by itself."""
 
 
@@ -39,3 +42,4 @@ class CorrectionSettings(Checked):
     lens: Mapping[str, Annotated[float, Within(-10, 10)]] = field(default_factory=dict)  # k1 that calibration lacks
     match_colours: bool = False  # constant differences between all cameras, too
     falloff: bool = True  # darker borders of their pictures, where they surely are
+    rolling_shutter: bool = True  # rows that are read one after the other, of cameras whose readout the rig tells

@@ -12,7 +12,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.stream.container import MAX_FRAME
 
 from .checked import Bytes, Checked, OneOf, Within
-from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS, CorrectionSettings
+from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS, RIG_EFFECTS, CorrectionSettings
 from .frame import FrameSettings
 from .keyframe import KeyframeSettings
 
@@ -77,16 +77,20 @@ class EncodeSettings(Checked):
         """The settings as plain JSON values, for the stream's header and the log.
 
         Omitted are what the bench's dense baseline does not read, unset budgets, targets, corrections and choices
-        of effects, so that streams started without such settings can still be resumed, and whether fall-off is looked
-        for: what was found is in the header's cameras.
+        of effects, so that streams started without such settings can still be resumed, and effects that the first frame
+        or the rig decides about: what was found is in the header's cameras.
         """
         shown = replace(
             self,
-            corrections=replace(self.corrections, falloff=CorrectionSettings.falloff),
-            effects=tuple(name for name in self.effects if name != "lens_falloff"),
+            corrections=replace(
+                self.corrections,
+                falloff=CorrectionSettings.falloff,
+                rolling_shutter=CorrectionSettings.rolling_shutter,
+            ),
+            effects=tuple(name for name in self.effects if name not in ("lens_falloff", *RIG_EFFECTS)),
         )
         document: dict[str, Any] = json.loads(json.dumps(asdict(shown)))
-        del document["corrections"]["falloff"]
+        del document["corrections"]["falloff"], document["corrections"]["rolling_shutter"]
         omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(shown) == usual]
         if (self.effects, self.detect_per_frame) == (PRESET_EFFECTS, False):
             omitted += ["effects", "detect_per_frame"]

@@ -23,6 +23,8 @@ from .timeline import RigTime, Timeline
 
 LAYOUT = "rig.json"
 CALIBRATION = "rig.json"
+_MAX_READOUT = 0.2
+"""Seconds: sensors take up to a thirtieth, or the slowest ones a tenth."""
 _COEFFICIENTS = {"none": {0}, "opencv": {0, 4, 5, 8}, "fisheye": {4}}
 
 
@@ -31,7 +33,7 @@ def read_rig_json(folder: Path) -> Rig:
     path = folder / CALIBRATION
     fields = read_json(path)
     shift = _pixel_shift(fields)
-    pairs, starts = [], dict[str, float]()
+    pairs, starts, readouts = [], dict[str, float](), dict[str, float]()
     for record in fields.records("cameras"):
         file = record.path("file", folder)
         if not os.path.exists(file):
@@ -42,6 +44,8 @@ def read_rig_json(folder: Path) -> Rig:
         pairs.append((_camera(record, shift), open_source(file)))
         if "start" in record:
             starts[pairs[-1][0].name] = record.number("start")
+        if "readout" in record or "readout_from" in record:
+            readouts[pairs[-1][0].name] = _readout(record)
     model = fields.path("colmap_model", folder, "sparse/0")
     if "colmap_model" in fields and not has_model(model):
         raise fields.wrong("colmap_model", f"names {model}, where no COLMAP model lies")
@@ -61,7 +65,24 @@ def read_rig_json(folder: Path) -> Rig:
         raise fields.wrong(
             "frame_count", f"is {fields.integer('frame_count')}, but the cameras have {rig.frame_count} frames"
         )
-    return replace(rig, starts=_on_the_rigs_clock(fields, starts, rig.timeline))
+    if any(readouts.values()) and rig.timeline.rate is None:
+        raise fields.wrong("readout", "is in seconds, but no frame rate is known; state 'fps'")
+    in_frames = {name: rig.timeline.time_of(seconds) for name, seconds in readouts.items() if seconds}
+    return replace(
+        rig,
+        starts=_on_the_rigs_clock(fields, starts, rig.timeline),
+        timeline=replace(rig.timeline, readouts=in_frames),
+    )
+
+
+def _readout(record: Fields) -> float:
+    """Seconds from the exposure of the picture's first row to that of its last, below 0 where it is read from below."""
+    seconds, start = record.number("readout"), record.text("readout_from", "top")
+    if not 0 <= seconds <= _MAX_READOUT:
+        raise record.wrong("readout", f"is {seconds:g} s, not between 0 and {_MAX_READOUT:g}")
+    if start not in ("top", "bottom"):
+        raise record.wrong("readout_from", f"is {start!r}, neither 'top' nor 'bottom'")
+    return seconds if start == "top" else -seconds
 
 
 def _on_the_rigs_clock(fields: Fields, starts: dict[str, float], timeline: Timeline) -> dict[str, RigTime]:

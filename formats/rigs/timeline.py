@@ -18,6 +18,9 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import NewType
 
+import numpy as np
+from numpy.typing import NDArray
+
 RecordedIndex = NewType("RecordedIndex", int)
 RigIndex = NewType("RigIndex", int)
 StreamIndex = NewType("StreamIndex", int)
@@ -38,22 +41,44 @@ class CameraClock:
 
 
 @dataclass(frozen=True)
+class RowTimes:
+    """When the rows of a camera's pictures are taken, in frames of the rig after a picture's instant.
+
+    ``late``: the middle row. ``readout``: the last row less the first one, below 0 where it is read from below.
+    """
+
+    late: RigTime = RigTime(0.0)
+    readout: RigTime = RigTime(0.0)
+
+    def at(self, share: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Of rows at this share of the picture's height, 0 at its top and 1 at its foot."""
+        return self.late + self.readout * (share - 0.5)
+
+
+@dataclass(frozen=True)
 class Timeline:
     """``rate``: the rig's frames in a second, as the slowest camera recorded them; None where nothing tells.
 
-    ``clocks``: by camera; one that is not named has the rig's own frames.
+    ``clocks``: by camera; one that is not named has the rig's own frames. ``readouts``: by camera, see `RowTimes`; one
+    that is not named takes all rows at once.
     """
 
     rate: Fraction | None = None
     clocks: Mapping[str, CameraClock] = field(default_factory=dict)
+    readouts: Mapping[str, RigTime] = field(default_factory=dict)
 
     def clock(self, camera: str) -> CameraClock:
         """The clock of a camera's own frames."""
         return self.clocks.get(camera, CameraClock())
 
-    def late(self) -> dict[str, float]:
-        """By camera, by what part of a frame its pictures are later than their instant, below 0 earlier."""
-        return {name: clock.late for name, clock in self.clocks.items() if clock.late}
+    def row_times(self) -> dict[str, RowTimes]:
+        """By camera, of those whose rows are not all taken at their picture's instant."""
+        none = RigTime(0.0)
+        times = {
+            name: RowTimes(self.clock(name).late, self.readouts.get(name, none))
+            for name in {**self.clocks, **self.readouts}
+        }
+        return {name: each for name, each in times.items() if each != RowTimes()}
 
     def time_of(self, seconds: float | Fraction) -> RigTime:
         """Seconds in frames of the rig. There must be a ``rate``."""

@@ -57,7 +57,7 @@ class RigStatistics:
     full-size pixels. ``recordings``: which pictures are lost; ``details`` (cameras, BANDS): of the first pictures, at
     full size. ``moving``: whether a camera moves through the scene. ``backdrop``: the plain stage or room of the first
     frame, seen in these pictures; None where there is neither. ``damage``: why the first picture that cannot be read
-    is none, by camera.
+    is none, by camera. ``readouts``: seconds from the first row to the last (`Timeline.readouts`), NaN where unknown.
     """
 
     cameras: tuple[Camera, ...]
@@ -75,6 +75,7 @@ class RigStatistics:
     moving: tuple[bool, ...]
     backdrop: BackdropStage | None = None
     damage: Mapping[str, str] = field(default_factory=dict)
+    readouts: tuple[float, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -144,6 +145,15 @@ def gather_statistics(
         moving,
         backdrop,
         damage,
+        _readouts(rig, cameras),
+    )
+
+
+def _readouts(rig: Rig, cameras: Sequence[Camera]) -> tuple[float, ...]:
+    """Seconds by camera, as the rig's files tell; NaN of others."""
+    told = rig.timeline.readouts
+    return tuple(
+        float(rig.timeline.seconds_of(told[camera.name])) if camera.name in told else float("nan") for camera in cameras
     )
 
 

@@ -72,6 +72,38 @@ def test_seconds_count_at_the_rate_of_the_rig(tmp_path: Path, make: Any) -> None
     assert shown(rig)[0] == [3, 0, 3]
 
 
+def test_readouts_are_told_in_seconds_and_kept_in_frames_of_the_rig(tmp_path: Path, make: Any) -> None:
+    folder = written(tmp_path, make, [0, 0.25, 0])
+    values = json.loads((folder / "rig.json").read_text())
+    values["cameras"][0]["readout"] = 0.02
+    values["cameras"][1].update(readout=0.01, readout_from="bottom")
+    (folder / "rig.json").write_text(json.dumps(values))
+    rig = open_rig(folder)  # whose videos have 30 frames a second
+    times = rig.timeline.row_times()
+    assert {name: each.readout for name, each in times.items()} == pytest.approx({"cam00": 0.6, "cam01": -0.3})
+    assert times["cam01"].late == pytest.approx(0.25)
+    assert times["cam01"].at(np.array([0.0, 0.5, 1.0])) == pytest.approx([0.4, 0.25, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"readout": -0.01}, r"cameras\[1\]: 'readout' is -0.01 s, not between 0 and 0.2"),
+        ({"readout": 20}, r"'readout' is 20 s, not between 0 and 0.2"),
+        ({"readout": "fast"}, "'readout' is not a number"),
+        ({"readout": 0.01, "readout_from": "left"}, "'readout_from' is 'left', neither 'top' nor 'bottom'"),
+        ({"readout_from": "top"}, "'readout' is missing"),
+    ],
+)
+def test_readouts_that_no_camera_has_are_refused(tmp_path: Path, make: Any, told: dict[str, Any], message: str) -> None:
+    folder = written(tmp_path, make, [0, 0, 0])
+    values = json.loads((folder / "rig.json").read_text())
+    values["cameras"][1].update(told)
+    (folder / "rig.json").write_text(json.dumps(values))
+    with pytest.raises(RigError, match=message):
+        open_rig(folder)
+
+
 @pytest.mark.parametrize("fps", [15, 29.97, 60])
 @pytest.mark.parametrize(("unit", "late"), [("frames", 3), ("seconds", 0.1)])
 def test_starts_count_as_recorded_whatever_rate_is_stated(

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from decogs.formats.rigs.timeline import CameraClock, RecordedIndex, RigIndex, RigTime, StreamIndex, Timeline, rig_index
+from decogs.formats.rigs.timeline import (
+    CameraClock,
+    RecordedIndex,
+    RigIndex,
+    RigTime,
+    RowTimes,
+    StreamIndex,
+    Timeline,
+    rig_index,
+)
 
 
 def test_a_camera_that_records_more_often_shows_an_instant_in_every_nth_frame_from_its_first() -> None:
@@ -16,7 +25,7 @@ def test_a_camera_that_is_not_named_has_the_rigs_own_frames() -> None:
     timeline = Timeline(clocks={"a": CameraClock(late=RigTime(0.25)), "b": CameraClock(RecordedIndex(7))})
     assert timeline.clock("c").recorded_index(RigIndex(9)) == 9
     assert timeline.clock("b").recorded_index(RigIndex(9)) == 16
-    assert timeline.late() == {"a": 0.25}
+    assert timeline.row_times() == {"a": RowTimes(RigTime(0.25))}
 
 
 def test_seconds_and_frames_are_exact() -> None:
