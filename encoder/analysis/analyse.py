@@ -23,7 +23,7 @@ from decogs.rig.pictures.ingest import frame_span
 
 from ..settings.effects import FRAME_EFFECTS
 from . import EFFECTS
-from .building import KEYFRAME_FINDINGS
+from .building import SHOWN
 from .effect import Decision, Evidence, Span
 
 
@@ -108,15 +108,15 @@ def analyse(
     threads: int = 0,
     on_step: OnProgress = lambda done, total: None,
     max_bytes: int = MAX_BYTES,
-    of_keyframe: bool = False,
+    shown: bool = False,
 ) -> Analysis:
     """Analyses a rig before anything is trained, and decides which effects are detected.
 
     ``rig``: its folder or calibration file, or the rig itself. ``frames``: consecutive ones, as a slice or a range; all
     when None. ``holdout``: names of cameras to leave out.
     ``threads``: 0 means all processors; results do not depend on it. ``max_bytes``: of the pictures that are kept; of a
-    longer clip every n-th frame is analysed. ``of_keyframe``: also what an encode's keyframe decides by itself, which
-    takes a search for its first points. Raises RigError or UsageError.
+    longer clip every n-th frame is analysed. ``shown``: also what no encode asks here, which takes a search for first
+    points. Raises RigError or UsageError.
     """
     began = time.perf_counter()
     if not isinstance(rig, Rig):
@@ -126,7 +126,7 @@ def analyse(
         rig, holdout=holdout, frames=span, threads=thread_count(threads), on_step=on_step, max_bytes=max_bytes
     )
     findings = []
-    for effect in (*EFFECTS, *(KEYFRAME_FINDINGS if of_keyframe else ())):
+    for effect in (*EFFECTS, *(SHOWN if shown else ())):
         evidence = effect.evidence(stats)
         findings.append(Finding(evidence, effect.decide(stats, evidence)))
     with side_by_side(thread_count(threads)) as each:

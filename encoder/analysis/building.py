@@ -27,6 +27,7 @@ from .colour_drift import EXPOSURE_DRIFT, WHITE_BALANCE_DRIFT
 from .colour_mismatch import ColourMismatch
 from .content import WITHOUT
 from .effect import Decision, Effect
+from .lamp_flicker import LampFlicker
 from .lens_distortion import LensDistortion
 from .lens_falloff import LensFalloff
 from .rolling_shutter import RollingShutter
@@ -45,10 +46,10 @@ EFFECTS: tuple[Effect, ...] = (
 )
 """The effects that the analysis of a rig decides about, in the order of its table."""
 
-KEYFRAME_FINDINGS: tuple[Effect, ...] = (LensFalloff(),)
-"""Effects that an encode's keyframe decides about by itself; the analysis shows them to people."""
+SHOWN: tuple[Effect, ...] = (LensFalloff(), LampFlicker())
+"""What the analysis shows to people only: an encode's keyframe decides about fall-off, and bands stay."""
 
-_WITHOUT = {**WITHOUT, **{effect.name: effect.disabled for effect in (*EFFECTS, *KEYFRAME_FINDINGS)}}
+_WITHOUT = {**WITHOUT, **{effect.name: effect.disabled for effect in (*EFFECTS, *SHOWN)}}
 
 
 @dataclass(frozen=True)

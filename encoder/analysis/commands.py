@@ -105,7 +105,7 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
             holdout=options.holdout,
             threads=options.threads,
             on_step=on_step,
-            of_keyframe=True,
+            shown=True,
         )
     for warning in analysis.check.warnings():
         warn_as(parser)(warning)

@@ -58,6 +58,7 @@ class RigStatistics:
     full size. ``moving``: whether a camera moves through the scene. ``backdrop``: the plain stage or room of the first
     frame, seen in these pictures; None where there is neither. ``damage``: why the first picture that cannot be read
     is none, by camera. ``readouts``: seconds from the first row to the last (`Timeline.readouts`), NaN where unknown.
+    ``rate``: frames of the rig in a second; None where unknown.
     """
 
     cameras: tuple[Camera, ...]
@@ -76,6 +77,7 @@ class RigStatistics:
     backdrop: BackdropStage | None = None
     damage: Mapping[str, str] = field(default_factory=dict)
     readouts: tuple[float, ...] = ()
+    rate: float | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -146,6 +148,7 @@ def gather_statistics(
         backdrop,
         damage,
         _readouts(rig, cameras),
+        None if rig.timeline.rate is None else float(rig.timeline.rate),
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from decogs.encoder.analysis import EFFECTS
 from decogs.encoder.analysis.analyse import analyse
-from decogs.encoder.analysis.building import KEYFRAME_FINDINGS
+from decogs.encoder.analysis.building import SHOWN
 from decogs.encoder.analysis.commands import analyze_main
 
 
@@ -29,7 +29,7 @@ def test_a_rig_becomes_a_table_and_a_document(
     assert printed.err == "", "no progress by -q"
     lines = printed.out.splitlines()
     assert lines[0].startswith(f"{moving_rig}: 4 cameras, 4 frames, at 64x48, in ")
-    shown = (*EFFECTS, *KEYFRAME_FINDINGS)
+    shown = (*EFFECTS, *SHOWN)
     assert [line.split()[0] for line in lines[2 : 2 + len(shown)]] == [effect.name for effect in shown]
     assert lines[2 + len(shown)].startswith("decided by every frame of an encode: motion, ")
     assert [line.split()[0] for line in lines[-5:]] == ["camera", "cam00", "cam01", "cam03", "cam04"]
@@ -48,7 +48,7 @@ def test_a_rig_becomes_a_table_and_a_document(
 def test_the_document_goes_to_stdout(moving_rig: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert analyze_main([str(moving_rig), "--json", "-"]) == 0
     printed = capfd.readouterr()
-    assert told(json.loads(printed.out)) == told(analyse(moving_rig, of_keyframe=True).to_json())
+    assert told(json.loads(printed.out)) == told(analyse(moving_rig, shown=True).to_json())
     assert [line.split()[0] for line in printed.err.splitlines()[-6:]] == ["camera", *(f"cam{k:02d}" for k in range(5))]
 
 
