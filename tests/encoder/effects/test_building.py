@@ -13,7 +13,7 @@ from decogs.decoder.reading.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis import EFFECTS, Decision, EffectChoice, effect_choice, with_effects
 from decogs.encoder.methods.paper import PaperTrainer
-from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS, KEYFRAME_EFFECTS
+from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS, KEYFRAME_EFFECTS, RIG_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame
@@ -103,7 +103,7 @@ def test_a_choice_of_effects_is_checked_and_says_itself() -> None:
 def test_auto_asks_every_frame_and_takes_what_the_scene_calls_for() -> None:
     settings = built("auto", decisions("exposure_drift"))
     assert settings.detect_per_frame
-    assert settings.effects == (*FRAME_EFFECTS, "exposure_drift", *KEYFRAME_EFFECTS)
+    assert settings.effects == (*FRAME_EFFECTS, "exposure_drift", *KEYFRAME_EFFECTS, *RIG_EFFECTS)
     assert settings.corrections.exposure == ("cam01",)
     assert settings.keyframe.sh_degree == STANDARD.keyframe.sh_degree, "the keyframe decides"
     assert built("auto,-exposure_drift", decisions("exposure_drift")).corrections == STANDARD.corrections
@@ -134,11 +134,12 @@ def test_a_fixed_choice_does_not_look_at_the_rig() -> None:
     for text in ("none", "motion,view_dependence", ",".join(FRAME_EFFECTS)):
         settings = with_effects(STANDARD, effect_choice(text), ["cam01"], looked)
         assert not settings.detect_per_frame
-        assert settings.corrections == replace(STANDARD.corrections, falloff=False)
-    assert with_effects(STANDARD, effect_choice("lens_falloff"), ["cam01"], looked).corrections == STANDARD.corrections
+        assert settings.corrections == replace(STANDARD.corrections, falloff=False, rolling_shutter=False)
+    sought = with_effects(STANDARD, effect_choice("lens_falloff,rolling_shutter"), ["cam01"], looked)
+    assert sought.corrections == STANDARD.corrections
 
 
-@pytest.mark.parametrize("name", [*CAMERA_EFFECTS, "sensor_noise", *KEYFRAME_EFFECTS, *FRAME_EFFECTS])
+@pytest.mark.parametrize("name", [*CAMERA_EFFECTS, "sensor_noise", *KEYFRAME_EFFECTS, *RIG_EFFECTS, *FRAME_EFFECTS])
 def test_every_effect_can_be_left_out(name: str) -> None:
     everything = built("all", decisions(*EFFECT_NAMES, k1={"cam01": -0.1}, min_threshold={"cam01": 12.0}))
     without = built(f"-{name}", decisions(*EFFECT_NAMES, k1={"cam01": -0.1}, min_threshold={"cam01": 12.0}))
