@@ -122,6 +122,23 @@ def test_a_brighter_border_is_no_lens_s() -> None:
     assert found.is_sure.tolist() == [False, True]
 
 
+@pytest.mark.parametrize("brighter", [0.1, 0.9])
+def test_borders_of_very_wide_lenses_that_seem_brighter_are_no_error(brighter: float) -> None:
+    """At four times the width that a picture has from its distance, 1 + k t^2 could be below 0."""
+    views = [looking(index, 4) for index in range(4)]
+    wide = [replace(view.pinhole, fx=15.0, fy=15.0) for view in views]
+    random = np.random.default_rng(5)
+    xyz = np.stack([random.uniform(-7, 7, 4000), random.uniform(-6, 6, 4000), np.zeros(4000)], 1).astype(np.float32)
+    seen = np.stack([in_picture(camera, *project(camera, xyz)) for camera in wide])
+    rows, columns = np.indices((SIZE[1], SIZE[0])) + 0.5
+    tangents = ((columns - 48) / 15) ** 2 + ((rows - 36) / 15) ** 2
+    picture = np.repeat((0.05 + brighter * tangents / tangents.max())[None], 3, axis=0).astype(np.float32)
+    found = find_falloff([View(camera, camera, None) for camera in wide], [picture] * 4, xyz, seen)
+    assert np.isfinite(found.losses).all()
+    assert (found.losses < 0).all()
+    assert not found.is_sure.any()
+
+
 def test_few_points_tell_nothing() -> None:
     views = [looking(index, 3) for index in range(3)]
     pictures = [wall(view, 0, 0.3, 0, 0) for view in views]

@@ -40,7 +40,8 @@ _MIN_VIEW_POINTS = 100
 _BLOCKS_LOG2 = 4
 _ROUNDS = 8
 _CHANNELS = 3
-_LEAST_K, _LARGEST_K = -0.3, 5.0
+_MOST_BRIGHTER, _LARGEST_K = 0.5, 5.0
+"""Bounds of k: as much below 0 as leaves half of 1 + k t^2 in a corner, for estimates of none scatter; and above."""
 _MIN_SPREAD = 0.02
 """Least deviation of fall-offs between cameras, as k: that of copies of one lens."""
 
@@ -89,9 +90,9 @@ def find_falloff(views: Sequence[View], pictures: Sequence[FloatArray], xyz: Flo
     points, seen = xyz[enough].astype(np.float64), seen[:, enough]
     values = np.stack([colours_at(view, picture, points) for view, picture in zip(views, pictures, strict=True)])
     tangents = np.stack([_squared_tangents(view.pinhole, points) for view in views])
-    fit = _Fit(values, np.where(seen, tangents, 0.0), seen)
-    k, deviation = fit.solve(_blocks(points))
     corner = np.array([_squared_corner(view.pinhole) for view in views])
+    fit = _Fit(values, np.where(seen, tangents, 0.0), seen, least=-_MOST_BRIGHTER / corner)
+    k, deviation = fit.solve(_blocks(points))
     return Falloff(k, deviation, corner)
 
 
@@ -109,8 +110,8 @@ class _Fit:
     Unknowns of a view: its gain in each channel, and k. A common gain fits as well; that with mean 0 is taken.
     """
 
-    def __init__(self, values: FloatArray, tangents: F64, seen: BoolArray) -> None:
-        self._tangents = tangents
+    def __init__(self, values: FloatArray, tangents: F64, seen: BoolArray, least: F64) -> None:
+        self._tangents, self._least = tangents, least
         usable = [seen & unclipped(values[..., channel]) for channel in range(_CHANNELS)]
         self._usable = [each & (each.sum(axis=0) > 1) for each in usable]
         inside = [np.where(use, values[..., c], np.float32(0.5)) for c, use in enumerate(self._usable)]
@@ -171,7 +172,7 @@ class _Fit:
     def _step(self, step: F64) -> None:
         each = step.reshape(4, -1)
         self._gains = self._gains + each[:_CHANNELS]
-        self._k = np.clip(self._k + each[3], _LEAST_K, _LARGEST_K)
+        self._k = np.clip(self._k + each[3], self._least, _LARGEST_K)
 
     def _reweigh(self) -> None:
         every = np.arange(self._logs[0].shape[1])
@@ -190,7 +191,8 @@ def _solved(normal: F64, right: F64) -> F64:
 def _squared_tangents(camera: Camera, points: F64) -> F64:
     """Squared tangents (P,) of the angles between the camera's axis and the points."""
     column, row, _ = project(camera, points)
-    x, y = ray_slopes(camera, *(np.nan_to_num(at) for at in (column, row)))
+    # A point that the view does not see may project anywhere, at infinity too.
+    x, y = ray_slopes(camera, *(np.clip(np.nan_to_num(at), -1e6, 1e6) for at in (column, row)))
     return np.asarray(x**2 + y**2, np.float64)
 
 
