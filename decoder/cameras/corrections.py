@@ -32,18 +32,33 @@ def as_it_stood(camera: Camera, correction: Correction) -> Camera:
     return replace(camera, world_to_camera=pose)
 
 
-def colour_factors(correction: Correction, camera: Camera) -> FloatArray:
-    """What a camera's picture multiplies odds by, (3,), or (H, W, 3) where its border is darker.
+_BAND_ROWS = 64
+"""Rows for which fall-off is computed at a time: its doubles are many times a picture's floats."""
+
+
+def as_recorded(colours: FloatArray, correction: Correction, camera: Camera, *, undo: bool = False) -> FloatArray:
+    """The scene's ``colours`` (H, W, 3) as the ``camera``, its lens included, recorded them; ``undo``: the reverse.
 
     Source: SPEC.md, "Corrections".
     """
     gain = np.asarray(correction.odds_gain, np.float32)
-    return gain * darkening(correction, camera)[..., None] if correction.falloff else gain
+    if not correction.falloff:
+        return apply_gain(colours, 1 / gain if undo else gain)
+    recorded = np.empty_like(colours)
+    for top in range(0, camera.height, _BAND_ROWS):
+        band = range(top, min(top + _BAND_ROWS, camera.height))
+        factors = gain * darkening(correction, camera, band)[..., None]
+        recorded[band.start : band.stop] = apply_gain(colours[band.start : band.stop], 1 / factors if undo else factors)
+    return recorded
 
 
-def darkening(correction: Correction, camera: Camera) -> FloatArray:
-    """Share of the light that fall-off leaves at each pixel (H, W) of the camera's picture; 1 where its lens ends."""
-    rows, columns = np.indices((camera.height, camera.width)) + 0.5
+def darkening(correction: Correction, camera: Camera, band: range | None = None) -> FloatArray:
+    """Share of the light that fall-off leaves at each pixel (H, W) of the camera's picture; 1 where its lens ends.
+
+    ``band``: of these rows; all if not given.
+    """
+    rows, columns = np.meshgrid(band or range(camera.height), range(camera.width), indexing="ij")
+    rows, columns = rows + 0.5, columns + 0.5
     pixels = undistort_pixels(camera, np.stack([columns, rows], axis=-1))
     x, y = ray_slopes(as_pinhole(camera), pixels[..., 0], pixels[..., 1])
     with np.errstate(invalid="ignore"):
@@ -73,10 +88,9 @@ def with_recorded_colours(
     """
     if not correction.is_coloured:
         return seen
-    factors = colour_factors(correction, camera)
     if behind is None:
-        return replace(seen, image=apply_gain(seen.image, factors))
+        return replace(seen, image=as_recorded(seen.image, correction, camera))
     covered = seen.alpha[..., None]
     rest = (1 - covered) * np.asarray(behind, np.float32)
-    own = apply_gain(straight_colours(seen.image - rest, seen.alpha), factors)
+    own = as_recorded(straight_colours(seen.image - rest, seen.alpha), correction, camera)
     return replace(seen, image=covered * own + rest)

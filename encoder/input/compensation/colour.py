@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.packets.corrections import Correction
-from decogs.decoder.cameras.corrections import apply_gain, colour_factors
+from decogs.decoder.cameras.corrections import apply_gain, as_recorded
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, logit
 from decogs.rig.numerics import tukey
@@ -78,7 +78,7 @@ def remove_colours(picture: FloatArray, correction: Correction, camera: Camera) 
     """A picture (3, H, W) that the camera recorded in the scene's own colours, as bright at its border."""
     if not correction.falloff:
         return remove_gain(picture, correction.odds_gain)
-    planes = apply_gain(picture.transpose(1, 2, 0), 1 / colour_factors(correction, camera))
+    planes = as_recorded(picture.transpose(1, 2, 0), correction, camera, undo=True)
     return np.ascontiguousarray(planes.transpose(2, 0, 1))
 
 
