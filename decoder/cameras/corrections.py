@@ -41,7 +41,7 @@ def as_recorded(colours: FloatArray, correction: Correction, camera: Camera, *, 
 
     Source: SPEC.md, "Corrections".
     """
-    gain = np.asarray(correction.odds_gain, np.float32)
+    gain = np.asarray(correction.odds_gain)
     if not correction.falloff:
         return apply_gain(colours, 1 / gain if undo else gain)
     recorded = np.empty_like(colours)

@@ -13,7 +13,7 @@ from decogs.rig.pictures.ingest import View
 from ..input.compensation.falloff import MIN_LOSS, find_falloff
 from ..keyframe.first_points import first_points
 from ..settings.encode import EncodeSettings
-from .effect import Decision, Evidence, make_decision, reason_of
+from .effect import Decision, Evidence, cameras_beyond, make_decision, reason_of
 
 _MOST_POINTS = 20_000
 """Of the plane sweep: the fit takes less than half as many."""
@@ -47,12 +47,11 @@ class LensFalloff:
         return Evidence(values, "% of the corners' light", 100 * MIN_LOSS, details)
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
-        counts = evidence.reached[:, 0]
         return make_decision(
             stats,
             self,
             evidence,
-            counts=counts,
+            counts=cameras_beyond(evidence),
             reason=reason_of(
                 evidence,
                 f"corners have up to {evidence.peak:.0f} % less light than the middle, as other cameras show them",

@@ -103,7 +103,7 @@ def train_first_frame(
     with watch.stage("first_points"):
         points, stage = points_of(frame)
         frame_stage = stage
-        if header is None:
+        if header is None and settings.corrections.are_constant:
             shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
             colours = find_camera_colours(frame, ingest.views, settings.corrections, *shared)
         if header is None and colours:

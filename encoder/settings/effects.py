@@ -43,3 +43,8 @@ class CorrectionSettings(Checked):
     match_colours: bool = False  # constant differences between all cameras, too
     falloff: bool = True  # darker borders of their pictures, where they surely are
     rolling_shutter: bool = True  # rows that are read one after the other, of cameras whose readout the rig tells
+
+    @property
+    def are_constant(self) -> bool:
+        """Whether differences that cameras have in every frame alike are looked for."""
+        return self.match_colours or self.falloff

@@ -76,8 +76,6 @@ def remove_gain(picture: FloatArray, odds_gain: tuple[float, float, float]) -> F
 
 def remove_colours(picture: FloatArray, correction: Correction, camera: Camera) -> FloatArray:
     """A picture (3, H, W) that the camera recorded in the scene's own colours, as bright at its border."""
-    if not correction.falloff:
-        return remove_gain(picture, correction.odds_gain)
     planes = as_recorded(picture.transpose(1, 2, 0), correction, camera, undo=True)
     return np.ascontiguousarray(planes.transpose(2, 0, 1))
 
