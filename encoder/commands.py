@@ -364,8 +364,6 @@ def _rig(options: argparse.Namespace) -> Rig | str:
             raise UsageError(f"`live`: it does not go with `{name}` {getattr(options, name)}; drop one of the two")
     if options.effects is None:
         options.effects = ",".join(PRESET_EFFECTS)
-    if options.effects.startswith("auto"):  # which looks at frames of the whole take
-        raise UsageError(f"`effects` {options.effects}: a recording that goes on cannot be analysed; name the effects")
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     return open_live(options.live, seconds_per_frame=seconds)
 

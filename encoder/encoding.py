@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.files.outputs import JSON, STREAM, Output, check_outputs, files_read
-from decogs.formats.rigs import Rig, files_of, open_rig, stop_waiting, without_cameras
+from decogs.formats.rigs import Rig, files_of, is_live, open_rig, stop_waiting, without_cameras
 from decogs.formats.stream.container import MAX_FRAME
 from decogs.formats.system.callbacks import OnWarning
 from decogs.formats.system.threads import thread_count
@@ -23,6 +23,7 @@ from decogs.rig.pictures.ingest import Ingest, check_held_out, frame_span
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
+from .analysis.building import decided_beforehand
 from .backends import check_device
 from .frame.context import Context
 from .input.imported_keyframe import KeyframeSource, read_keyframe
@@ -293,6 +294,8 @@ def _with_effects(
     require_sparse(settings, f"`effects` {wanted}", "has none of them")
 
     def decisions() -> Sequence[Decision]:
+        if is_live(work.rig):
+            return decided_beforehand(wanted, work.source.header if isinstance(work.source, KeyframeSource) else None)
         span = slice(work.span.start, work.span.stop)
         analysis = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
         for warning in analysis.check.warnings():

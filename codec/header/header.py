@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from decogs.formats.geometry.rotations import is_orthonormal
 from decogs.formats.stream.container import PACKET_HEADER_SIZE, PROLOGUE_SIZE
 from decogs.formats.stream.reasons import Reason
 
-from ..packets.corrections import EFFECT_FIELDS, LARGEST, CorrectedCameras, Correction, Corrections
+from ..packets.corrections import EFFECT_FIELDS, LARGEST, CorrectedCameras, Correction, Corrections, LampWave, lamps_of
 from ..packets.sound import SoundTrack, read_sound_tracks
 from ..scene.lattice import Lattice, Vector
 from .presentation import Presentation, read_presentation
@@ -26,6 +26,8 @@ MAX_HEADER_BYTES = 1 << 20
 MAX_CAMERAS = 1024
 MAX_DEPTH = 16
 MAX_SIDE = 1 << 15
+_MAX_LAMP_CELLS = 16
+_MAX_HERTZ = 1e6
 _MAX_TEXT = 1 << 16
 _MAX_NAME = 255
 _STEP_RANGE = (1e-12, 1e6)
@@ -351,6 +353,7 @@ def _camera_document(camera: Camera, colours: Correction | None) -> dict[str, An
         "fx": float(camera.fx),
         "fy": float(camera.fy),
         "height": int(camera.height),
+        **({"lamp": _lamp_document(colours.lamp)} if colours and colours.lamp else {}),
         "name": camera.name,
         **({"near": float(camera.near)} if camera.near else {}),
         "width": int(camera.width),
@@ -374,6 +377,23 @@ def _camera(fields: _Fields) -> Camera:
         distortion_model=model,  # type: ignore[arg-type]
         distortion=fields.numbers("distortion", _COEFFICIENT_COUNTS[model], -1e6, 1e6),
         near=fields.number("near", 0.0, _COORDINATE_MAX) if fields.has("near") else 0.0,
+    )
+
+
+def _lamp_document(lamp: LampWave) -> dict[str, Any]:
+    return {**asdict(lamp), "sine": list(lamp.sine), "cosine": list(lamp.cosine)}
+
+
+def _lamp(fields: _Fields) -> LampWave:
+    columns, rows = (fields.integer(side, 1, _MAX_LAMP_CELLS) for side in ("columns", "rows"))
+    maps = {name: fields.integers(name, 3 * columns * rows, LARGEST) for name in ("sine", "cosine")}
+    return LampWave(
+        fields.number("hertz", 1, _MAX_HERTZ),
+        fields.number("readout", -1, 1),
+        columns,
+        rows,
+        maps["sine"],
+        maps["cosine"],
     )
 
 
@@ -411,6 +431,8 @@ def _check_corrected(header: StreamHeader) -> None:
             _refuse(f"effects and corrected disagree on {effect}")
         if len(set(names)) != len(names) or not set(names) <= seen:
             _refuse(f"corrected.{effect} names a camera twice, or one that training did not see")
+    if set(lamps_of(header.camera_colours)) != set(corrected.lamp_flicker):
+        _refuse("cameras with a lamp and corrected.lamp_flicker disagree")
 
 
 def _camera_colours(fields: _Fields) -> dict[str, Correction]:
@@ -418,11 +440,11 @@ def _camera_colours(fields: _Fields) -> dict[str, Correction]:
     colours = {}
     for number, document in enumerate(fields.list("cameras", 1, MAX_CAMERAS)):
         camera = _Fields(document, f"cameras[{number}].")
-        if camera.has("colours") or camera.has("falloff"):
-            gains = camera.integers("colours", 3, LARGEST) if camera.has("colours") else (0, 0, 0)
+        if any(map(camera.has, ("colours", "falloff", "lamp"))):
+            exposure, red, blue = camera.integers("colours", 3, LARGEST) if camera.has("colours") else (0, 0, 0)
             falloff = camera.integer("falloff", 1, LARGEST) if camera.has("falloff") else 0
-            exposure, red, blue = gains
-            colours[camera.name("name")] = Correction(exposure, red, blue, falloff=falloff)
+            lamp = _lamp(_Fields(camera.value("lamp"), f"cameras[{number}].lamp.")) if camera.has("lamp") else None
+            colours[camera.name("name")] = Correction(exposure, red, blue, falloff=falloff, lamp=lamp)
     return colours
 
 
@@ -434,8 +456,8 @@ def constant_effects(colours: Corrections) -> tuple[str, ...]:
 
 
 def _has_colours(colours: Correction) -> bool:
-    """Whether a camera has colours of its own, zeros among them; those with a fall-off alone have none."""
-    return colours.has_gain or not colours.falloff
+    """Whether a camera has colours of its own, zeros among them; those with a fall-off or a lamp alone have none."""
+    return colours.has_gain or not (colours.falloff or colours.lamp)
 
 
 def _check_colours(header: StreamHeader) -> None:

@@ -26,6 +26,13 @@ FALLOFF_STEP = 2.0**-12
 """Of a lens's fall-off k per unit of ``falloff``; light is divided by (1 + k t^2)^2 at the tangent t of the angle to
 the camera's axis."""
 
+PHASE_TURNS = 2.0**-16
+"""Turns of a lamp's pulse per unit of ``lamp_phase``: its 16 bits are one turn."""
+
+LAMP_STEP = 2.0**-12
+"""Share of a colour's odds per unit of a lamp's ``sine`` and ``cosine``, and how much of these there is per unit of
+``lamp_amplitude``."""
+
 LARGEST = (1 << 15) - 1
 """Largest magnitude of a number that the encoder writes; a block may hold one below it, the last of 16 bits."""
 
@@ -33,6 +40,7 @@ EFFECT_FIELDS = {
     "exposure_drift": ("exposure",),
     "white_balance_drift": ("red", "blue"),
     "camera_shake": ("yaw", "pitch", "roll"),
+    "lamp_flicker": ("lamp_phase", "lamp_amplitude"),
 }
 """The numbers of each effect, in the order of the block."""
 
@@ -44,6 +52,7 @@ class CorrectedCameras:
     exposure_drift: tuple[str, ...] = ()
     white_balance_drift: tuple[str, ...] = ()
     camera_shake: tuple[str, ...] = ()
+    lamp_flicker: tuple[str, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -61,12 +70,40 @@ class CorrectedCameras:
 
 
 @dataclass(frozen=True)
+class LampWave:
+    """How lamps on alternating current change a camera's picture: a wave in time and over the rows.
+
+    ``hertz``: their pulses in a second. ``readout``: seconds from the first row's exposure to the last's, below 0 where
+    the last comes first. ``sine``, ``cosine``: how strong the wave and the one a quarter of a turn before it are, in
+    LAMP_STEP, at the middles of ``columns`` x ``rows`` cells of the picture: row by row, red, green and blue of each.
+    """
+
+    hertz: float
+    readout: float
+    columns: int
+    rows: int
+    sine: tuple[int, ...]
+    cosine: tuple[int, ...]
+
+    @property
+    def turns(self) -> float:
+        """Of the wave from the first row to the last."""
+        return self.hertz * self.readout
+
+    @property
+    def maps(self) -> NDArray[np.float64]:
+        """``sine`` and ``cosine`` as shares of the odds, (2, rows, columns, 3)."""
+        return np.array([self.sine, self.cosine]).reshape(2, self.rows, self.columns, 3) * LAMP_STEP
+
+
+@dataclass(frozen=True)
 class Correction:
     """How one camera's picture of one frame differs from what the scene shows; all integers, 0 for no difference.
 
     ``exposure``, in all channels, and ``red`` and ``blue``, in theirs, add to the logarithm of a colour's odds, in
     COLOUR_STEP. ``yaw``, ``pitch``, ``roll`` turn the camera about its own y, x and z axes, in ANGLE_STEP. ``falloff``
-    darkens the picture's border, in FALLOFF_STEP; it is the same in every frame.
+    darkens the picture's border, in FALLOFF_STEP; it is the same in every frame, as ``lamp`` is: a wave over the
+    picture, by ``lamp_phase`` in PHASE_TURNS and ``lamp_amplitude`` in LAMP_STEP.
     """
 
     exposure: int = 0
@@ -76,6 +113,9 @@ class Correction:
     pitch: int = 0
     roll: int = 0
     falloff: int = 0
+    lamp_phase: int = 0
+    lamp_amplitude: int = 0
+    lamp: LampWave | None = None
 
     @property
     def odds_gain(self) -> tuple[float, float, float]:
@@ -101,8 +141,13 @@ class Correction:
 
     @property
     def is_coloured(self) -> bool:
-        """Whether colours are changed at all, of the whole picture or at its border."""
-        return bool(self.has_gain or self.falloff)
+        """Whether colours are changed at all, of the whole picture, at its border or by lamps."""
+        return bool(self.has_gain or self.falloff or self.has_wave)
+
+    @property
+    def has_wave(self) -> bool:
+        """Whether lamps change the picture at all."""
+        return self.lamp is not None and self.lamp_amplitude != 0
 
 
 Corrections = Mapping[str, Correction]
@@ -114,10 +159,27 @@ def whole_steps(value: float, step: float) -> int:
     return max(-LARGEST, min(LARGEST, round(value / step)))
 
 
+def phase_steps(turns: float) -> int:
+    """The nearest unit of ``lamp_phase``, of the turn's part."""
+    return (round(turns / PHASE_TURNS) + LARGEST + 1) % (2 * LARGEST + 2) - LARGEST - 1
+
+
 def with_colours(correction: Correction, colours: Correction) -> Correction:
     """The correction of a camera whose ``colours`` differ from the scene's in every frame."""
     names = ("exposure", "red", "blue", "falloff")
-    return replace(correction, **{name: getattr(correction, name) + getattr(colours, name) for name in names})
+    added = {name: getattr(correction, name) + getattr(colours, name) for name in names}
+    return replace(correction, lamp=colours.lamp or correction.lamp, **added)
+
+
+def with_lamps(colours: Corrections, lamps: Mapping[str, LampWave]) -> Corrections:
+    """Cameras' constant ``colours`` with exactly these ``lamps``."""
+    own = {name: each for name, each in colours.items() if each.lamp is None or each.has_gain or each.falloff}
+    return {name: replace(own.get(name, Correction()), lamp=lamps.get(name)) for name in {**own, **lamps}}
+
+
+def lamps_of(colours: Corrections) -> dict[str, LampWave]:
+    """By camera, the lamps of those that have some."""
+    return {name: each.lamp for name, each in colours.items() if each.lamp is not None}
 
 
 def turn(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:

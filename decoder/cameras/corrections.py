@@ -16,6 +16,7 @@ from decogs.formats.cameras import Camera, as_pinhole, ray_slopes, turned
 from decogs.formats.splats import FloatArray
 
 from ..rasterise.straight_alpha import straight_colours
+from .lamps import lamp_light
 from .lens import undistort_pixels
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def as_it_stood(camera: Camera, correction: Correction) -> Camera:
 
 
 _BAND_ROWS = 64
-"""Rows for which fall-off is computed at a time: its doubles are many times a picture's floats."""
+"""Rows for which fall-off and lamps are computed at a time: its doubles are many times a picture's floats."""
 
 
 def as_recorded(colours: FloatArray, correction: Correction, camera: Camera, *, undo: bool = False) -> FloatArray:
@@ -42,12 +43,15 @@ def as_recorded(colours: FloatArray, correction: Correction, camera: Camera, *, 
     Source: SPEC.md, "Corrections".
     """
     gain = np.asarray(correction.odds_gain)
-    if not correction.falloff:
+    if not (correction.falloff or correction.has_wave):
         return apply_gain(colours, 1 / gain if undo else gain)
     recorded = np.empty_like(colours)
+    across = (np.arange(camera.width)[None] + 0.5) / camera.width
     for top in range(0, camera.height, _BAND_ROWS):
         band = range(top, min(top + _BAND_ROWS, camera.height))
-        factors = gain * darkening(correction, camera, band)[..., None]
+        factors = gain * darkening(correction, camera, band)[..., None] if correction.falloff else gain
+        if correction.has_wave:
+            factors = factors * lamp_light(correction, across, (np.array(band)[:, None] + 0.5) / camera.height)
         recorded[band.start : band.stop] = apply_gain(colours[band.start : band.stop], 1 / factors if undo else factors)
     return recorded
 
@@ -81,7 +85,7 @@ def apply_gain(colours: FloatArray, odds_gain: tuple[float, float, float] | NDAr
 def with_recorded_colours(
     seen: Rendering, camera: Camera, correction: Correction, behind: tuple[float, float, float] | None
 ) -> Rendering:
-    """The rendering with the camera's exposure, white balance and fall-off; the same object when it has none.
+    """The rendering with the camera's exposure, white balance, fall-off and lamps; the same object when it has none.
 
     ``camera``: of the picture, its lens included. ``behind``: the colour that a subject is over, which stays as it is;
     None for a whole scene.

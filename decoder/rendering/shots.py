@@ -135,7 +135,9 @@ def _laid_out(header: StreamHeader, shot: Shot, show: Show, layout: Layout) -> R
     behind = behind_subject(header, show.over(header))
     if correction is None:
         return seen
-    return with_recorded_colours(seen, camera, replace(correction, falloff=0), behind)  # no lens made this picture
+    return with_recorded_colours(
+        seen, camera, replace(correction, falloff=0, lamp=None), behind
+    )  # no lens and no rows made it
 
 
 def with_layers(

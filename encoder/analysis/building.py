@@ -12,6 +12,8 @@ from collections.abc import Callable, Collection, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import lamps_of
 from decogs.formats.errors import UsageError
 
 from ..settings.effects import (
@@ -40,14 +42,17 @@ EFFECTS: tuple[Effect, ...] = (
     EXPOSURE_DRIFT,
     WHITE_BALANCE_DRIFT,
     CameraShake(),
+    LampFlicker(),
     LensDistortion(),
     RollingShutter(),
     SensorNoise(),
 )
 """The effects that the analysis of a rig decides about, in the order of its table."""
 
-SHOWN: tuple[Effect, ...] = (LensFalloff(), LampFlicker())
-"""What the analysis shows to people only: an encode's keyframe decides about fall-off, and bands stay."""
+SHOWN: tuple[Effect, ...] = (LensFalloff(),)
+"""What the analysis shows to people only: an encode's keyframe decides about fall-off."""
+
+_NEED_FIGURES = (LensDistortion.name, SensorNoise.name)
 
 _WITHOUT = {**WITHOUT, **{effect.name: effect.disabled for effect in (*EFFECTS, *SHOWN)}}
 
@@ -144,6 +149,38 @@ def with_effects(
             built.append(name)
         settings = chosen
     return replace(settings, effects=tuple(built), detect_per_frame=wanted.base == AUTO)
+
+
+def decided_beforehand(wanted: EffectChoice, header: StreamHeader | None) -> tuple[Decision, ...]:
+    """Decisions on a rig whose frames are yet to come: the ``wanted`` effects are enabled for all cameras.
+
+    Lamps are those of the keyframe that it starts from; ``header``: of that one's stream, None where there is none.
+    Raises UsageError for effects of which only an analysis can tell more.
+    """
+    lamps = {} if header is None else lamps_of(header.camera_colours)
+    unknown = [name for name in wanted.names(()) if name in _NEED_FIGURES]
+    if wanted.base == AUTO or unknown:
+        what = f"`effects` {wanted}: a recording that goes on cannot be analysed"
+        raise UsageError(f"{what}, which {unknown[0]} needs; leave it out" if unknown else f"{what}; name the effects")
+    if LampFlicker.name in wanted.names(()) and not lamps:
+        raise UsageError(
+            f"`effects` {wanted}: what the lamps are like is not known; give a `keyframe` of an earlier stream whose "
+            f"header has lamp_flicker"
+        )
+    found = {LampFlicker.name: {"lamps": lamps}}
+    return tuple(
+        Decision(
+            effect.name,
+            detected=effect.name in found,
+            confidence=0.0,
+            cameras=tuple(lamps),
+            frames=(),
+            reason="its frames are yet to come",
+            cost="",
+            figures=found.get(effect.name, {}),
+        )
+        for effect in EFFECTS
+    )
 
 
 def _is_common(decision: Decision, cameras: Sequence[str]) -> bool:

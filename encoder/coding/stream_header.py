@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from decogs.codec.header.header import StreamHeader, constant_effects
-from decogs.codec.packets.corrections import CorrectedCameras, Corrections
+from decogs.codec.packets.corrections import CorrectedCameras, Corrections, with_lamps
 from decogs.codec.packets.sound import SoundTrack
 from decogs.codec.scene.lattice import Lattice
 from decogs.formats.cameras import is_distorted
@@ -56,7 +56,7 @@ def stream_header(
         units=rig.length_unit or StreamHeader.units,
         settings={"seed": seed, "scale": ingest.scale, **pictures, **document},
         corrected=corrected,
-        camera_colours=colours,
+        camera_colours=with_lamps(colours, settings.corrections.lamps),
         subject=ingest.background is not None,
         sound=sound,
     )

@@ -132,7 +132,10 @@ def _corrections_after(
     context: Context, frame: PendingFrame, plan: FramePlan, scene: Scene, watch: Stopwatch
 ) -> CorrectionMemory | None:
     corrections = frame.memory.corrections
-    if context.corrector is None or corrections is None or not plan.masks:
+    if context.corrector is None or corrections is None:
+        return corrections
+    corrections = replace(corrections, latest=frame.corrections, index=frame.recorded.index)
+    if not plan.masks:
         return corrections
     with watch.stage("corrections"):
         changed = [mask.dilated for mask in plan.masks]

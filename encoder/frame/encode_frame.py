@@ -27,7 +27,7 @@ from ..change.masks import FrameMask, usable_views
 from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
-from ..input.compensation.frame import compensate, find_corrections, match_colours, newly_dropped
+from ..input.compensation.frame import compensate, find_corrections, match_colours, newly_dropped, without_lamps
 from ..keyframe.first_frame import FirstFrame, stage_of_keyframe, train_first_frame
 from ..output.reports import OnKeyframeStep
 from ..stopwatch import Stopwatch
@@ -212,7 +212,7 @@ def encode_cut(context: Context, frame: PendingFrame, task: Task) -> Encoded:
         first = earlier_first_frame(context, key, before.header, task.recorded)
     else:
         recorded = match_colours(task.recorded, context.ingest.views, before.header.camera_colours)
-        first = train_keyframe(context, recorded, task, before)
+        first = train_keyframe(context, recorded, task, replace(frame, scene=before))
         first = replace(first, state=replace(first.state, frame=before.state.frame + 1))
     encoded = begin_scene(context, before.header, first, task, replace(frame, scene=before))
     if starts is not None and first_id in encoded.scene.state.ids[:1]:
@@ -226,12 +226,14 @@ def _start_of(encoded: Encoded) -> SceneStart:
     return SceneStart(encoded.scene.state, encoded.written.packet, encoded.pictures, memory.corrections, memory.stage)
 
 
-def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Scene | None = None) -> FirstFrame:
-    """The Gaussians of a stream's first frame, or of one that shows another scene than the one ``before``."""
-    return train_first_frame(
+def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: PendingFrame | None = None) -> FirstFrame:
+    """The Gaussians of a stream's first frame, or of one that shows another scene than that ``before`` it."""
+    corrections = None if before is None else before.memory.corrections
+    steady = without_lamps(recorded, context.ingest.rig.fps, context.corrector, corrections)
+    first = train_first_frame(
         context.kernel,
         context.ingest,
-        recorded,
+        steady,
         context.settings,
         task.watch,
         seed=context.seed,
@@ -239,9 +241,12 @@ def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Sce
         corrector=context.corrector,
         stopping=context.stopping(),
         on_step=task.on_step,
-        header=None if before is None else before.header,
-        first_id=0 if before is None else before.state.next_id,
+        header=None if before is None else before.scene.header,
+        first_id=0 if before is None else before.scene.state.next_id,
     )
+    if steady is recorded:
+        return first
+    return replace(first, recorded=match_colours(recorded, context.ingest.views, first.colours))
 
 
 def earlier_first_frame(context: Context, key: State, header: StreamHeader, recorded: RigFrame) -> FirstFrame:
@@ -274,7 +279,7 @@ def begin_scene(
         if packet is None:
             key = reconstruct(None, written.packet, header) if cut is None else cut.scene.read(written.packet)
         scene = Scene.open(header, key) if cut is None else cut.scene.after(key)
-        drift = None if drift is None else replace(drift, first=corrections)
+        drift = None if drift is None else drift.begin(corrections, task.recorded.index)
         start = SceneStart(key, written.packet, frame, drift, _stage_of(context, first, frame, splats.means))
         memory = (
             _first_memory(context, scene, start)

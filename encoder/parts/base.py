@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.corrections import lamps_of
 from decogs.codec.reconstruct import reconstruct
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.files.regular_files import open_regular
@@ -81,7 +82,8 @@ class Base:
             problem = f"was begun with other effects than `effects` {effects}"
         if problem:
             self._refuse(f"it {problem}")
-        return own
+        lamps = lamps_of(self.keyframe.header.camera_colours)
+        return replace(own, corrections=replace(own.corrections, lamps=lamps))
 
     def _refuse(self, problem: str) -> NoReturn:
         raise UsageError(f"`keyframe` {self.keyframe.path}: {problem}; give every part the same input and options")

@@ -6,12 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from decogs.codec.packets.corrections import LampWave
+
 from .checked import Checked, Within
 
 FRAME_EFFECTS = ("motion", "appearance_change", "emergence", "disappearance")
 """Effects that every frame decides about."""
 
-CAMERA_EFFECTS = ("colour_mismatch", "exposure_drift", "white_balance_drift", "camera_shake", "lens_distortion")
+CAMERA_EFFECTS = (
+    *("colour_mismatch", "exposure_drift", "white_balance_drift", "camera_shake", "lamp_flicker", "lens_distortion"),
+)
 """Drift and mismatch of single cameras, compensated before other effects are detected."""
 
 KEYFRAME_EFFECTS = ("view_dependence", "lens_falloff")
@@ -40,6 +44,10 @@ class CorrectionSettings(Checked):
     white_balance: tuple[str, ...] = ()  # cameras whose white balance drifts
     shake: tuple[str, ...] = ()  # cameras that rotate about their centre
     lens: Mapping[str, Annotated[float, Within(-10, 10)]] = field(default_factory=dict)  # k1 that calibration lacks
+    lamps: Mapping[str, LampWave] = field(default_factory=dict)  # that flicker over the rows of a camera's pictures
+    lamp_phases: Mapping[str, Annotated[float, Within(-1, 1)]] = field(
+        default_factory=dict
+    )  # their turns at the rig's frame 0
     match_colours: bool = False  # constant differences between all cameras, too
     falloff: bool = True  # darker borders of their pictures, where they surely are
     rolling_shutter: bool = True  # rows that are read one after the other, of cameras whose readout the rig tells

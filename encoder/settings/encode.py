@@ -84,13 +84,16 @@ class EncodeSettings(Checked):
             self,
             corrections=replace(
                 self.corrections,
+                lamps={},
+                lamp_phases={},
                 falloff=CorrectionSettings.falloff,
                 rolling_shutter=CorrectionSettings.rolling_shutter,
             ),
             effects=tuple(name for name in self.effects if name not in ("lens_falloff", *RIG_EFFECTS)),
         )
         document: dict[str, Any] = json.loads(json.dumps(asdict(shown)))
-        del document["corrections"]["falloff"], document["corrections"]["rolling_shutter"]
+        for found in ("lamps", "lamp_phases", "falloff", "rolling_shutter"):
+            del document["corrections"][found]
         omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(shown) == usual]
         if (self.effects, self.detect_per_frame) == (PRESET_EFFECTS, False):
             omitted += ["effects", "detect_per_frame"]

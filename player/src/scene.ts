@@ -21,6 +21,18 @@ export interface RigCamera extends Lens, LensModel {
   readonly colours: CameraColours | null;
   /** How much darker its pictures are towards the border, in 1/4096 (SPEC section 6, "Corrections"); 0: not at all. */
   readonly falloff: number;
+  /** How lamps that flicker change its pictures (SPEC section 6, "Corrections"); null where none do. */
+  readonly lamp: LampWave | null;
+}
+
+/** A wave over the rows of a camera's pictures (SPEC section 4): strengths in 1/4096, red, green and blue of each cell. */
+export interface LampWave {
+  readonly hertz: number;
+  readonly readout: number;
+  readonly columns: number;
+  readonly rows: number;
+  readonly sine: readonly number[];
+  readonly cosine: readonly number[];
 }
 
 /** How a camera recorded colours, in 1/4096 of a natural logarithm (SPEC section 6, "Corrections"). */
@@ -31,13 +43,17 @@ export interface CameraColours {
 }
 
 /**
- * What one frame tells of a camera: colours, to which the camera's own `colours` are to be added, and its pose in
- * 1/262144 radians. Numbers that the stream does not tell are 0.
+ * What one frame tells of a camera: colours, to which the camera's own `colours` are to be added, its pose in
+ * 1/262144 radians, and its lamps. Numbers that the stream does not tell are 0.
  */
 export interface CameraCorrection extends CameraColours {
   readonly yaw: number;
   readonly pitch: number;
   readonly roll: number;
+  /** In 1/65536 of a turn. */
+  readonly lampPhase: number;
+  /** In 1/4096 of the camera's `lamp`. */
+  readonly lampAmplitude: number;
 }
 
 /** Steps of the lattice that coded integers lie on (SPEC sections 4 and 5). */

@@ -26,6 +26,7 @@ from ..parallel import Ahead, Each, side_by_side
 from ..pictures.ingest import RigFrame, View, check_held_out, display_referred
 from ..pictures.noise import picture_noise
 from ..stage.stage import BackdropStage, PlainStage, find_stage
+from .lamps import Lamps, find_lamps, hides_lamps, without_lamps
 from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points
 from .matches import Matches, find_matches
 from .moving import moves_through
@@ -58,7 +59,8 @@ class RigStatistics:
     full size. ``moving``: whether a camera moves through the scene. ``backdrop``: the plain stage or room of the first
     frame, seen in these pictures; None where there is neither. ``damage``: why the first picture that cannot be read
     is none, by camera. ``readouts``: seconds from the first row to the last (`Timeline.readouts`), NaN where unknown.
-    ``rate``: frames of the rig in a second; None where unknown.
+    ``rate``: frames of the rig in a second; None where unknown. ``lamps``: those that flicker in a camera's recording,
+    None where it tells nothing; where they surely do, ``pictures`` are in their mean light.
     """
 
     cameras: tuple[Camera, ...]
@@ -78,6 +80,7 @@ class RigStatistics:
     damage: Mapping[str, str] = field(default_factory=dict)
     readouts: tuple[float, ...] = ()
     rate: float | None = None
+    lamps: tuple[Lamps | None, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -107,7 +110,8 @@ def gather_statistics(
     """
     cameras, scales = _small_cameras(rig, holdout)
     span = range(rig.frame_count) if frames is None else frames
-    chosen = _thin(span, cameras, max_bytes)
+    rate = None if rig.timeline.rate is None else float(rig.timeline.rate)
+    chosen = _thin(span, cameras, max_bytes, rate)
     steps = _Steps(len(chosen) + 2 * len(cameras), on_step)
     names, unread = [camera.name for camera in cameras], np.zeros((len(cameras), len(chosen)), bool)
     damage: dict[str, str] = {}
@@ -122,6 +126,10 @@ def gather_statistics(
         read = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=names, on_lost=lose)
         recorded = _repeated(read, unread)
         pictures, noise, details = _read(recorded if threads == 1 else Ahead(recorded), cameras, chosen, each, steps)
+        lamps = list(each(lambda own: find_lamps(own, chosen, rate), pictures))
+        pictures = list(
+            each(lambda own, camera, found: _steady(own, chosen, rate, camera, found), pictures, cameras, lamps)
+        )
         matches = find_matches(cameras, [own[0] for own in pictures], each)
         backdrop = _backdrop(cameras, [own[0] for own in pictures])
         points = shared_points(cameras, matches, backdrop if isinstance(backdrop, PlainStage) else None)
@@ -148,8 +156,16 @@ def gather_statistics(
         backdrop,
         damage,
         _readouts(rig, cameras),
-        None if rig.timeline.rate is None else float(rig.timeline.rate),
+        rate,
+        tuple(lamps),
     )
+
+
+def _steady(pictures: U8, frames: Sequence[int], rate: float | None, camera: Camera, lamps: Lamps | None) -> U8:
+    """The pictures in the mean light of lamps that surely flicker; the very object where none do."""
+    if lamps is None or rate is None or not lamps.is_sure:
+        return pictures
+    return without_lamps(pictures, frames, rate, camera, lamps)
 
 
 def _readouts(rig: Rig, cameras: Sequence[Camera]) -> tuple[float, ...]:
@@ -200,11 +216,14 @@ def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...]
     return tuple(scale_camera(camera, scale) for camera, scale in zip(kept, scales, strict=True)), scales
 
 
-def _thin(span: range, cameras: Sequence[Camera], max_bytes: int) -> range:
-    """Every n-th frame, so that the pictures of all cameras fit; two frames at least."""
+def _thin(span: range, cameras: Sequence[Camera], max_bytes: int, rate: float | None) -> range:
+    """Every n-th frame, two at least, so that the pictures of all cameras fit and lamps' bands wander in them."""
     frame_bytes = sum(camera.width * camera.height * 3 for camera in cameras)
     most = max(2, max_bytes // frame_bytes)
-    return span[:: math.ceil(len(span) / most)]
+    step = math.ceil(len(span) / most)
+    while rate is not None and hides_lamps(step, rate):
+        step += 1
+    return span[:: min(step, max(1, len(span) - 1))]
 
 
 def _read(

@@ -18,6 +18,7 @@ from good_vectors import (
     corrected_header,
     darkened_header,
     faults,
+    flickering_header,
     moving,
     worked_example,
 )
@@ -293,6 +294,24 @@ def damaged_colours() -> Iterator[Vector]:
     }
     for name, payload in wrong.items():
         yield with_header(f"damaged/bad-header-falloff-{name}", payload, "bad-header")
+    flickering = flickering_header()
+
+    def lit(number: int, **members: Any) -> bytes:
+        cameras = deepcopy(flickering["cameras"])
+        cameras[number]["lamp"] = {**flickering["cameras"][0]["lamp"], **members}
+        return canonical({**flickering, "cameras": cameras})
+
+    wrong = {
+        "held-out-camera": lit(3),
+        "not-corrected": lit(1),
+        "too-slow": lit(0, hertz=0.5),
+        "no-cells": lit(0, columns=0, sine=[], cosine=[]),
+        "too-many-cells": lit(0, rows=17, sine=17 * [0, 0, 0], cosine=17 * [0, 0, 0]),
+        "cells-are-missing": lit(0, columns=2),
+        "absent": canonical({**flickering, "cameras": corrected_header()["cameras"]}),
+    }
+    for name, payload in wrong.items():
+        yield with_header(f"damaged/bad-header-lamp-{name}", payload, "bad-header")
 
 
 def with_header(name: str, payload: bytes, reason: str | None) -> Vector:

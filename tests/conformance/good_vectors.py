@@ -405,6 +405,17 @@ def good_colours() -> Iterator[Vector]:
     alone = {name: value for name, value in coloured_header().items() if name != "corrected"}
     yield opened(document={**alone, "effects": ["colour_mismatch"]}).good("good/colours-alone")
     yield opened(document=darkened_header()).good("good/falloff")
+    stream = Stream(document=flickering_header())
+    for phase, amplitude in ((-32_768, 4096), (32_767, 0)):
+        stream.corrections = {
+            "c": {"lamp_phase": phase, "lamp_amplitude": amplitude},
+            "a": {"exposure": 7, "lamp_phase": 1, "lamp_amplitude": -1},
+        }
+        if phase < 0:
+            stream.key(stream.state(scene(34, 1, stream.width)))
+        else:
+            stream.skip()
+    yield stream.good("good/lamps")
 
 
 def darkened_header() -> dict[str, Any]:
@@ -419,6 +430,25 @@ def darkened_header() -> dict[str, Any]:
         for camera in document["cameras"]
     ]
     return {**document, "cameras": cameras, "effects": ["colour_mismatch", "lens_falloff"]}
+
+
+def flickering_header() -> dict[str, Any]:
+    """Two cameras under lamps, at bounds: one with cells of its own, one whose exposure drifts, too."""
+    document = corrected_header()
+    bounds = [32_767, -32_767, 0]
+    lamps = {
+        "a": {"hertz": 1, "readout": -1, "columns": 1, "rows": 1, "sine": bounds, "cosine": [0, 0, 0]},
+        "c": {"hertz": 1e6, "readout": 1, "columns": 16, "rows": 2, "sine": 32 * bounds, "cosine": 32 * [1, 2, 3]},
+    }
+    return {
+        **document,
+        "cameras": [
+            {**camera, **({"lamp": lamps[camera["name"]]} if camera["name"] in lamps else {})}
+            for camera in document["cameras"]
+        ],
+        "effects": ["exposure_drift", "lamp_flicker"],
+        "corrected": {"exposure_drift": ["a"], "lamp_flicker": ["c", "a"]},
+    }
 
 
 def good_subjects() -> Iterator[Vector]:

@@ -21,6 +21,7 @@ CORRECTIONS = {
     "exposure_drift": ["exposure"],
     "white_balance_drift": ["red", "blue"],
     "camera_shake": ["yaw", "pitch", "roll"],
+    "lamp_flicker": ["lamp_phase", "lamp_amplitude"],
 }
 EFFECTS = {
     *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),

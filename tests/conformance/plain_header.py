@@ -194,6 +194,8 @@ def check_header(header: dict[str, Any]) -> None:
     expect(is_names(header["effects"]))
     expect(is_names(header["held_out"]) and set(header["held_out"]) <= set(names))
     check_corrected(header, set(names) - set(header["held_out"]))
+    lit = {camera["name"] for camera in cameras if "lamp" in camera}
+    expect(lit == set(header.get("corrected", {}).get("lamp_flicker", [])))
     for member, effect in (("colours", "colour_mismatch"), ("falloff", "lens_falloff")):
         different = {camera["name"] for camera in cameras if member in camera}
         expect(not different & set(header["held_out"]))
@@ -231,6 +233,19 @@ def check_camera(camera: Any) -> None:
     expect(isinstance(colours, list) and len(colours) == 3)
     expect(all(is_integer(number, -32_767, 32_767) for number in colours))
     expect(is_integer(camera.get("falloff", 1), 1, 32_767))
+    check_lamp(camera.get("lamp", LAMP))
+
+
+LAMP = {"hertz": 100, "readout": 0.016, "columns": 1, "rows": 1, "sine": [0, 0, 0], "cosine": [0, 0, 0]}
+
+
+def check_lamp(lamp: Any) -> None:
+    expect(isinstance(lamp, dict) and LAMP.keys() <= lamp.keys())
+    expect(is_number(lamp["hertz"], 1, 1e6) and is_number(lamp["readout"], -1, 1))
+    expect(is_integer(lamp["columns"], 1, 16) and is_integer(lamp["rows"], 1, 16))
+    for strengths in (lamp["sine"], lamp["cosine"]):
+        expect(isinstance(strengths, list) and len(strengths) == 3 * lamp["columns"] * lamp["rows"])
+        expect(all(is_integer(each, -32_767, 32_767) for each in strengths))
 
 
 def is_rotation(r: list[list[float]]) -> bool:

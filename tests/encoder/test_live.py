@@ -167,7 +167,13 @@ def test_the_command(
     assert "give a rig's folder, or --live" in capsys.readouterr().err
     assert encode_main([str(moving_rig), "--live", str(sources), "-o", str(tmp_path / "a.dgs")]) == 2
     assert encode_main(["--live", str(sources), "--effects", "auto", "-o", str(tmp_path / "a.dgs")]) == 2
-    assert "--effects auto: a recording that goes on cannot be analysed" in capsys.readouterr().err
+    assert "--effects auto: a recording that goes on cannot be analysed; name" in capsys.readouterr().err
+    for effects, problem in (
+        ("motion,sensor_noise", "cannot be analysed, which sensor_noise needs"),
+        ("motion,lamp_flicker", "what the lamps are like is not known; give a --keyframe"),
+    ):
+        assert encode_main(["--live", str(sources), "--effects", effects, "-o", str(tmp_path / "a.dgs")]) == 2
+        assert problem in capsys.readouterr().err
     assert not list(tmp_path.glob("a.dgs*"))
     monkeypatch.setitem(PRESETS, "tiny", tiny_settings)
     with recording(moving_rig, tmp_path / "capture"):

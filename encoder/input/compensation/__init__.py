@@ -22,9 +22,12 @@ from numpy.typing import NDArray
 from decogs.codec.packets.corrections import (
     ANGLE_STEP,
     COLOUR_STEP,
+    LAMP_STEP,
+    PHASE_TURNS,
     CorrectedCameras,
     Correction,
     Corrections,
+    phase_steps,
     whole_steps,
 )
 from decogs.formats.errors import UsageError
@@ -35,6 +38,7 @@ from ...settings.effects import CorrectionSettings
 from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
 from .benefit import Benefit, on_grid
 from .colour import LogitShift, logit_shift, remove_gain
+from .lamps import LampView, recorded_at
 from .shake import angles_of, estimate_turn, undo_turn
 
 __all__ = ["CorrectionMemory", "CorrectionSettings", "Corrector", "corrector_of"]
@@ -61,7 +65,7 @@ def corrector_of(views: Sequence[View], settings: CorrectionSettings) -> Correct
 
     Raises UsageError for a name that is no training view's.
     """
-    if not (settings.exposure or settings.white_balance or settings.shake):
+    if not (settings.exposure or settings.white_balance or settings.shake or settings.lamps):
         return None
     return Corrector(views, settings)
 
@@ -70,18 +74,26 @@ def corrector_of(views: Sequence[View], settings: CorrectionSettings) -> Correct
 class CorrectionMemory:
     """What one frame's corrections hand to the next.
 
-    ``surface``: where cameras are compared. ``first``: the first frame's corrections, which stay where later ones are
-    dropped. ``benefits``: of the corrections so far, by camera and kind; those ``dropped`` made pictures worse.
+    ``surface``: where cameras are compared. ``first``: the corrections of the rig's frame ``begun``, the first, which
+    stay where later ones are dropped; ``latest``: those of its frame ``index``. ``benefits``: of the corrections so
+    far, by camera and kind; those ``dropped`` made pictures worse.
     """
 
     surface: SharedSurface
     first: Corrections = field(default_factory=dict)
+    begun: int = 0
+    latest: Corrections = field(default_factory=dict)
+    index: int = 0
     benefits: Mapping[tuple[str, str], Benefit] = field(default_factory=dict)
     dropped: frozenset[tuple[str, str]] = frozenset()
 
+    def begin(self, first: Corrections, index: int) -> CorrectionMemory:
+        """With the corrections of the first frame, the rig's ``index``."""
+        return CorrectionMemory(self.surface, first, index, first, index)
+
     def restart(self) -> CorrectionMemory:
         """Without the evidence of frames after the first."""
-        return CorrectionMemory(self.surface, self.first)
+        return self.begin(self.first, self.begun)
 
 
 class Corrector:
@@ -89,10 +101,16 @@ class Corrector:
 
     def __init__(self, views: Sequence[View], settings: CorrectionSettings) -> None:
         self._views = {view.camera.name: (number, view) for number, view in enumerate(views)}
-        lists = (settings.exposure, settings.white_balance, settings.shake)
+        lists = (settings.exposure, settings.white_balance, settings.shake, tuple(settings.lamps))
         self.cameras = CorrectedCameras(*(self._check_names(names) for names in lists))
         self._named = [name for name in self._views if self.cameras.of(name)]
         self._has_colours = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
+        self._phases = settings.lamp_phases
+        self._lamps = {
+            name: LampView(settings.lamps[name], recorded_at(view), view.valid)
+            for name in self.cameras.lamp_flicker
+            for view in (self._views[name][1],)
+        }
 
     def begin(self, draw: DrawView) -> CorrectionMemory:
         """The memory of a scene's first frame; ``draw``: of the keyframe."""
@@ -105,17 +123,38 @@ class Corrector:
     def find(self, memory: CorrectionMemory, recorded: Sequence[FloatArray], render: RenderView) -> Corrections:
         """Corrections of a frame's ``recorded`` pictures (3, H, W) against the scene as ``render`` draws it."""
         straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
+        lamps: Corrections = {
+            name: lamp.find(*self._beside(name, straight, render)) for name, lamp in self._lamps.items()
+        }
+        straight = self.undo(straight, lamps)
         for name in self.cameras.camera_shake:
             number, view = self._views[name]
-            rotations[name] = self._measure(name, recorded, render).rotation
-            straight[number] = undo_turn(recorded[number], view.pinhole, rotations[name])
+            rotations[name] = self._measure(name, straight, render).rotation
+            straight[number] = undo_turn(straight[number], view.pinhole, rotations[name])
         shifts = self._own_shifts(memory.surface, straight, render) if self._has_colours else {}
         corrections = {
-            name: self._correction(name, _Drift(shifts.get(name, _NO_SHIFT), rotations[name])) for name in self._named
+            name: _with_lamp(
+                self._correction(name, _Drift(shifts.get(name, _NO_SHIFT), rotations[name])), lamps.get(name)
+            )
+            for name in self._named
         }
         for name, kind in memory.dropped:
             corrections[name] = _as_at_first(memory, name, kind, corrections[name])
         return corrections
+
+    def foretold(self, frame: int, rate: float | None, memory: CorrectionMemory | None) -> Corrections:
+        """What lamps do in the rig's ``frame``, from the latest that is known, by ``memory`` or by the analysis.
+
+        ``rate``: frames in a second.
+        """
+        latest, index = ({}, 0) if memory is None else (memory.latest, memory.index)
+        foretold = {}
+        for name, lamp in self._lamps.items():
+            known = latest.get(name, Correction(lamp_amplitude=whole_steps(1.0, LAMP_STEP)))
+            before = known.lamp_phase * PHASE_TURNS if name in latest else self._phases.get(name, 0.0)
+            later = 0.0 if rate is None else lamp.wave.hertz * (frame - index) / rate
+            foretold[name] = replace(known, lamp_phase=phase_steps(before + later))
+        return foretold
 
     def judge(
         self,
@@ -192,11 +231,18 @@ class Corrector:
         return compensated
 
     def _compensate(self, name: str, picture: FloatArray, correction: Correction) -> FloatArray:
-        if correction.is_coloured:
+        if correction.lamp_amplitude:
+            picture = self._lamps[name].undo(picture, correction)
+        if correction.has_gain:
             picture = remove_gain(picture, correction.odds_gain)
         if correction.is_turned:
             picture = undo_turn(picture, self._views[name][1].pinhole, correction.rotation)
         return picture
+
+    def _beside(self, name: str, pictures: Sequence[FloatArray], render: RenderView) -> tuple[FloatArray, FloatArray]:
+        """A camera's picture, and the scene through its view."""
+        number, _ = self._views[name]
+        return pictures[number], render(number)
 
     def _check_names(self, names: Sequence[str]) -> tuple[str, ...]:
         for name in names:
@@ -274,6 +320,12 @@ class _Drift(NamedTuple):
 
 
 _NO_SHIFT = LogitShift(np.zeros(3), np.zeros(3))
+
+
+def _with_lamp(correction: Correction, lamp: Correction | None) -> Correction:
+    if lamp is None:
+        return correction
+    return replace(correction, lamp_phase=lamp.lamp_phase, lamp_amplitude=lamp.lamp_amplitude)
 
 
 def _as_at_first(memory: CorrectionMemory, name: str, kind: str, correction: Correction) -> Correction:

@@ -82,7 +82,7 @@ def _block_sums(values: F64) -> F64:
     return np.asarray(whole.reshape(rows, _BLOCK_PIXELS, columns, _BLOCK_PIXELS).sum(axis=(1, 3)).ravel())
 
 
-def on_grid(picture: NDArray[Any]) -> NDArray[Any]:
-    """The picture (..., H, W) on a regular grid of its pixels, at most ``_GRID_PIXELS``."""
-    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _GRID_PIXELS)))
+def on_grid(picture: NDArray[Any], pixels: int = _GRID_PIXELS) -> NDArray[Any]:
+    """The picture (..., H, W) on a regular grid of about so many of its ``pixels``."""
+    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / pixels)))
     return picture[..., ::step, ::step]

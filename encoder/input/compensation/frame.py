@@ -42,7 +42,9 @@ def match_colours(frame: RigFrame, views: Sequence[View], colours: Corrections) 
     if not colours:
         return frame
     pictures = [
-        remove_colours(picture, colours[view.camera.name], view.pinhole) if view.camera.name in colours else picture
+        remove_colours(picture, own, view.pinhole)
+        if (own := colours.get(view.camera.name, Correction())).is_coloured
+        else picture
         for view, picture in zip(views, frame.training, strict=True)
     ]
     return replace(frame, training=pictures)
@@ -56,6 +58,17 @@ def find_corrections(
         return {}
     with watch.stage("corrections"):
         return corrector.find(memory, frame.training, render)
+
+
+def without_lamps(
+    frame: RigFrame, rate: float | None, corrector: Corrector | None, memory: CorrectionMemory | None
+) -> RigFrame:
+    """A frame of which no scene is known, in the mean light of lamps that flicker, as far as that can be foretold.
+
+    ``rate``: frames in a second.
+    """
+    lamps = {} if corrector is None else corrector.foretold(frame.index, rate, memory)
+    return compensate(frame, corrector, lamps) if lamps else frame
 
 
 def compensate(frame: RigFrame, corrector: Corrector | None, corrections: Corrections) -> RigFrame:

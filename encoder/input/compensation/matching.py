@@ -58,4 +58,5 @@ def colours_at(view: View, picture: FloatArray, points: NDArray[np.float64]) -> 
 
 def _correction(shift: NDArray[np.float64]) -> Correction:
     red, green, blue = shift.tolist()
-    return Correction(*(whole_steps(value, COLOUR_STEP) for value in (green, red - green, blue - green)))
+    exposure, of_red, of_blue = (whole_steps(value, COLOUR_STEP) for value in (green, red - green, blue - green))
+    return Correction(exposure, of_red, of_blue)

@@ -1,6 +1,6 @@
 /** The header packet (SPEC section 4): every member there and within its bounds. */
 
-import type { CameraColours, Lattice, RigCamera, StreamHeader } from "../scene";
+import type { CameraColours, LampWave, Lattice, RigCamera, StreamHeader } from "../scene";
 import { refuse } from "./errors";
 import { JsonNumber, parseJson, type JsonObject, type JsonValue } from "./json";
 import { MAX_CAMERAS, MAX_HEADER_BYTES, MAX_IMAGE_SIDE } from "./limits";
@@ -9,9 +9,10 @@ import { readSoundTracks } from "./sound";
 
 const MAX_TEXT = 65_536;
 const MAX_LIST = 1024;
+const MAX_LAMP_CELLS = 16;
 const COEFFICIENTS = { none: [0], opencv: [4, 5, 8], fisheye: [4] } as const;
 /** Effects whose parameters each frame's corrections block has (SPEC section 6). */
-export const CORRECTED_EFFECTS = ["exposure_drift", "white_balance_drift", "camera_shake"] as const;
+export const CORRECTED_EFFECTS = ["exposure_drift", "white_balance_drift", "camera_shake", "lamp_flicker"] as const;
 const EFFECTS: ReadonlySet<string> = new Set([
   "motion",
   "appearance_change",
@@ -102,7 +103,19 @@ function readCamera(value: JsonValue): RigCamera {
     near: members.has("near") ? real("near", 0, 1e12) : 0,
     colours: members.has("colours") ? readColours(member(members, "colours")) : null,
     falloff: members.has("falloff") ? integer(member(members, "falloff"), "falloff", 1, 32_767) : 0,
+    lamp: members.has("lamp") ? readLamp(object(member(members, "lamp"), "lamp")) : null,
   };
+}
+
+function readLamp(members: JsonObject): LampWave {
+  const [columns, rows] = ["columns", "rows"].map((side) => integer(member(members, side), side, 1, MAX_LAMP_CELLS));
+  const map = (name: string): number[] => {
+    const values = list(members, name, 3 * columns * rows, 3 * columns * rows);
+    return values.map((item) => integer(item, name, -32_767, 32_767));
+  };
+  const hertz = number(member(members, "hertz"), "hertz", 1, 1e6);
+  const readout = number(member(members, "readout"), "readout", -1, 1);
+  return { hertz, readout, columns, rows, sine: map("sine"), cosine: map("cosine") };
 }
 
 function readLens(members: JsonObject): Pick<RigCamera, "distortionModel" | "distortion"> {
@@ -144,7 +157,8 @@ function checkCameras({ cameras, effects, heldOut }: StreamHeader): void {
   if (!heldOut.every((name) => names.has(name))) bad("held_out names an unknown camera");
   const coloured = cameras.filter((camera) => camera.colours !== null);
   const darkened = cameras.filter((camera) => camera.falloff !== 0);
-  if ([...coloured, ...darkened].some((camera) => heldOut.includes(camera.name))) bad("a held-out camera has colours");
+  const lit = cameras.filter((camera) => camera.lamp !== null);
+  if ([...coloured, ...darkened, ...lit].some((camera) => heldOut.includes(camera.name))) bad("a held-out camera has colours");
   if (coloured.length > 0 !== effects.includes("colour_mismatch")) bad("colours and colour_mismatch disagree");
   if (darkened.length > 0 !== effects.includes("lens_falloff")) bad("falloff and lens_falloff disagree");
 }
@@ -168,6 +182,8 @@ function checkCorrected({ cameras, heldOut, corrected }: StreamHeader): void {
     if (new Set(names).size < names.length) bad(`corrected names a camera twice: ${effect}`);
     if (!names.every((name) => seen.has(name))) bad(`corrected names a camera that training did not see: ${effect}`);
   }
+  const flickering = corrected.get("lamp_flicker") ?? [];
+  if (cameras.some(({ name, lamp }) => (lamp !== null) !== flickering.includes(name))) bad("lamps and lamp_flicker disagree");
 }
 
 // Members and their types.

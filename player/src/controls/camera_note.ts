@@ -5,6 +5,7 @@ const EFFECTS: ReadonlyMap<string, string> = new Map([
   ["exposure_drift", "changing exposure"],
   ["white_balance_drift", "changing white balance"],
   ["camera_shake", "shaking"],
+  ["lamp_flicker", "flickering light"],
 ]);
 
 /** A sentence; null when the picture is the camera's own. */

@@ -1,6 +1,6 @@
 /** The last pass of a picture as a camera recorded it: what was accumulated, resampled through the lens, in its colours. */
 import type { PinholeCamera } from "../geometry/camera";
-import type { Recording } from "../geometry/camera";
+import type { LampsNow, Recording } from "../geometry/camera";
 import { NOWHERE, lensPlan, type LensPlan } from "../geometry/recorded";
 import type { Program } from "./program";
 import { RECORDED_FRAGMENT_SHADER } from "./recorded_shader";
@@ -11,6 +11,7 @@ const CELL = 8;
 export class RecordedPass {
   private readonly program: Program;
   private readonly texture: WebGLTexture;
+  private readonly lampCells: WebGLTexture;
   private plan: LensPlan | null = null;
   private planOf = "";
 
@@ -21,6 +22,7 @@ export class RecordedPass {
   ) {
     this.program = screen(RECORDED_FRAGMENT_SHADER);
     this.texture = gl.createTexture();
+    this.lampCells = gl.createTexture();
   }
 
   /** The pinhole camera to accumulate for a picture. */
@@ -42,14 +44,17 @@ export class RecordedPass {
   /** Makes the pass ready to be drawn; what was accumulated is bound to unit 0. */
   use(camera: PinholeCamera, recording: Recording, background: readonly number[]): void {
     const { gl, program } = this;
-    const { lens, odds, falloff, left, top, width, height } = recording;
+    const { lens, odds, falloff, lamps, left, top, width, height } = recording;
     const drawn = this.seenBy(camera, recording);
     gl.activeTexture(gl.TEXTURE1);
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    if (lamps !== null) this.uploadLamps(lamps);
     gl.activeTexture(gl.TEXTURE0);
     gl.useProgram(program.program);
     gl.uniform1i(program.uniform("accumulated"), 0);
     gl.uniform1i(program.uniform("positions"), 1);
+    gl.uniform1i(program.uniform("lamps"), 2);
+    gl.uniform3f(program.uniform("turns"), lamps?.turns ?? 0, lamps?.turnsDown ?? 0, lamps === null ? 0 : 1);
     gl.uniform4fv(program.uniform("background"), background);
     gl.uniform3fv(program.uniform("odds"), odds ?? [1, 1, 1]);
     gl.uniform4f(program.uniform("place"), left, top, left + width, top + height);
@@ -63,6 +68,7 @@ export class RecordedPass {
 
   dispose(): void {
     this.gl.deleteTexture(this.texture);
+    this.gl.deleteTexture(this.lampCells);
     this.gl.deleteProgram(this.program.program);
   }
 
@@ -71,7 +77,21 @@ export class RecordedPass {
     gl.activeTexture(gl.TEXTURE1);
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG32F, columns, rows, 0, gl.RG, gl.FLOAT, positions);
-    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+    this.unfiltered();
     gl.activeTexture(gl.TEXTURE0);
+  }
+
+  /** Into unit 2, which stays bound: sine and cosine of a cell beside each other. */
+  private uploadLamps({ columns, rows, cells }: LampsNow): void {
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE2);
+    gl.bindTexture(gl.TEXTURE_2D, this.lampCells);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 2 * columns, rows, 0, gl.RGBA, gl.FLOAT, cells);
+    this.unfiltered();
+  }
+
+  private unfiltered(): void {
+    const { gl } = this;
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
   }
 }

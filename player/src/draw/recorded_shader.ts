@@ -7,12 +7,13 @@
 export const RECORDED_FRAGMENT_SHADER = /* glsl */ `#version 300 es
 precision highp float;
 precision highp sampler2D;
-uniform sampler2D accumulated, positions;
+uniform sampler2D accumulated, positions, lamps;
 uniform vec3 odds;
 uniform vec4 background, place;
 uniform vec2 size;
 uniform vec2 focal, centre;
 uniform float cell, falloff;
+uniform vec3 turns;
 uniform bool bent;
 out vec4 result;
 vec4 at(ivec2 pixel) {
@@ -45,6 +46,20 @@ vec4 through(vec2 position) {
   for (int j = 0; j < 4; ++j) for (int i = 0; i < 4; ++i) sum += across[i] * down[j] * at(middle + ivec2(i - 1, j - 1));
   return sum;
 }
+vec3 lampLight(vec2 share) {
+  ivec2 size = textureSize(lamps, 0) / ivec2(2, 1);
+  vec2 at = clamp(share * vec2(size) - 0.5, vec2(0.0), vec2(size - 1)), part = fract(at);
+  ivec2 first = ivec2(floor(at)), last = min(first + 1, size - 1);
+  vec3 wave = vec3(0.0);
+  float turn = 6.283185307179586 * fract(turns.x + turns.y * share.y);
+  for (int k = 0; k < 2; ++k) {
+    ivec4 x = ivec4(2 * first.x + k, 2 * last.x + k, first.y, last.y);
+    vec3 upper = mix(texelFetch(lamps, x.xz, 0).rgb, texelFetch(lamps, x.yz, 0).rgb, part.x);
+    vec3 lower = mix(texelFetch(lamps, x.xw, 0).rgb, texelFetch(lamps, x.yw, 0).rgb, part.x);
+    wave += (k == 0 ? sin(turn) : cos(turn)) * mix(upper, lower, part.y);
+  }
+  return clamp(1.0 + wave, 0.125, 8.0);
+}
 void main() {
   vec2 pixel = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y);
   result = vec4(0.0, 0.0, 0.0, background.a);
@@ -53,6 +68,7 @@ void main() {
   vec4 seen = bent ? through(from) : at(ivec2(pixel));
   float light = from.x < -1e8 ? 1.0 : 1.0 + falloff * dot(tangent, tangent);
   vec3 factors = odds / (light * light);
+  if (turns.z > 0.0) factors *= lampLight((pixel - place.xy) / (place.zw - place.xy));
   float covered = max(clamp(seen.a, 0.0, 1.0), background.a);
   vec3 v = seen.rgb / max(covered, 1e-6);
   vec3 inside = clamp(v, 0.0, 1.0);

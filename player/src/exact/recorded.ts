@@ -3,7 +3,7 @@
  * that of a subject, whose own colours are what is left when alpha is divided out.
  */
 import type { PinholeCamera, Recording } from "../geometry/camera";
-import { NOWHERE, cubicWeights, lensPlan, lightLeft, withOdds, type LensPlan } from "../geometry/recorded";
+import { NOWHERE, cubicWeights, lampLight, lensPlan, lightLeft, withOdds, type LensPlan } from "../geometry/recorded";
 import type { Gaussians, StreamHeader } from "../scene";
 import type { ExactRenderer } from "./renderer";
 
@@ -13,7 +13,7 @@ const NOTHING = [0] as const;
 
 /** A picture that is as its pinhole camera sees it. */
 export function asSeen({ width, height }: PinholeCamera): Recording {
-  return { lens: null, odds: null, falloff: 0, left: 0, top: 0, width, height };
+  return { lens: null, odds: null, falloff: 0, lamps: null, left: 0, top: 0, width, height };
 }
 
 /** RGBA, straight, opaque but for a subject; black, or nothing, beside the camera's own picture. */
@@ -31,9 +31,9 @@ export function recordedPixels(
   const { rgb, alpha } = exact.planes(gaussians, header.shDegree, drawn, background);
   const { width, height } = camera;
   const pixels = new Uint8ClampedArray(4 * width * height);
-  const { falloff } = recording;
+  const { falloff, lamps } = recording;
   const odds = recording.odds ?? NO_ODDS;
-  const isColoured = recording.odds !== null || falloff !== 0;
+  const isColoured = recording.odds !== null || falloff !== 0 || lamps !== null;
   const [colour, covered] = [new Float64Array(3), Float64Array.of(1)];
   const [right, bottom] = [recording.left + recording.width, recording.top + recording.height];
   for (let y = 0, at = 0; y < height; y++) {
@@ -54,9 +54,11 @@ export function recordedPixels(
         plan === null
           ? lightLeft(falloff, drawn, x + 0.5, y + 0.5)
           : lightLeft(falloff, drawn, plan.positions[2 * pixel], plan.positions[2 * pixel + 1]);
+      const [across, down] = [(x + 0.5 - recording.left) / recording.width, (y + 0.5 - recording.top) / recording.height];
+      const flicker = lamps === null ? NO_ODDS : lampLight(lamps, across, down);
       // Clamped, and rounded with halves to even, as a canvas' bytes are; products as the decoder's floats have them.
       for (let c = 0; c < 3; c++) {
-        pixels[at + c] = Math.fround(255 * (isColoured ? withOdds(colour[c], odds[c] * light) : colour[c]));
+        pixels[at + c] = Math.fround(255 * (isColoured ? withOdds(colour[c], odds[c] * light * flicker[c]) : colour[c]));
       }
     }
   }

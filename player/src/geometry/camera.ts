@@ -33,6 +33,17 @@ export interface PinholeCamera extends Lens {
   readonly recording?: Recording | null;
 }
 
+/** The wave of lamps over a picture at one time: 1 + sine sin + cosine cos of its turns, within 1/8 to 8. */
+export interface LampsNow {
+  /** In the first row, and from there to the last. */
+  readonly turns: number;
+  readonly turnsDown: number;
+  readonly columns: number;
+  readonly rows: number;
+  /** Strengths at the middles of cells, row by row: sine of red, green and blue, 0, and cosine of them, 0. */
+  readonly cells: Float32Array<ArrayBuffer>;
+}
+
 /** What a picture has beside that of its pinhole camera. */
 export interface Recording {
   /** null: no distortion. */
@@ -41,6 +52,8 @@ export interface Recording {
   readonly odds: readonly [number, number, number] | null;
   /** Odds are divided by (1 + falloff t^2)^2 at the tangent t of the angle to the camera's axis; 0: nowhere. */
   readonly falloff: number;
+  /** Flickering lamps, whose light multiplies the odds; null: none. */
+  readonly lamps: LampsNow | null;
   /** The camera's own picture, in pixels of the canvas; nothing was recorded beside it. */
   readonly left: number;
   readonly top: number;

@@ -4,12 +4,15 @@
  *
  * A wider pinhole is drawn, which sees all that the lens sees, and resampled; then the colours' odds are multiplied.
  */
-import type { CameraCorrection, RigCamera } from "../scene";
+import type { CameraCorrection, LampWave, RigCamera } from "../scene";
 import { isDistorted, straightening, type LensModel } from "./lens";
-import type { PinholeCamera, Recording } from "./camera";
+import type { LampsNow, PinholeCamera, Recording } from "./camera";
 
 const COLOUR_STEP = 2 ** -12;
 const ANGLE_STEP = 2 ** -18;
+const LAMP_STEP = 2 ** -12;
+const PHASE_STEP = 2 ** -16;
+const MOST_LAMP_LIGHT = 8;
 /** What is drawn for a lens is at most so many times as wide and as high as the picture. */
 const WIDEST = 3;
 /** Pixels beyond the outermost sample: the footprint of cubic interpolation. */
@@ -45,7 +48,40 @@ export function recordingOf(
   const [width, height] = [scale * camera.width, scale * camera.height];
   const area = { left: (window.width - width) / 2, top: (window.height - height) / 2, width, height };
   const falloff = camera.falloff * COLOUR_STEP;
-  return { lens: isDistorted(camera) ? camera : null, odds: oddsOf(camera, correction), falloff, ...area };
+  const lamps = camera.lamp === null || correction === null ? null : lampsNow(camera.lamp, correction);
+  return { lens: isDistorted(camera) ? camera : null, odds: oddsOf(camera, correction), falloff, lamps, ...area };
+}
+
+function lampsNow({ hertz, readout, columns, rows, sine, cosine }: LampWave, correction: CameraCorrection): LampsNow | null {
+  const { lampPhase, lampAmplitude } = correction;
+  if (lampAmplitude === 0) return null;
+  const cells = new Float32Array(8 * columns * rows);
+  const strength = LAMP_STEP * LAMP_STEP * lampAmplitude;
+  for (let cell = 0; cell < columns * rows; cell++) {
+    for (let c = 0; c < 3; c++) {
+      cells[8 * cell + c] = strength * sine[3 * cell + c];
+      cells[8 * cell + 4 + c] = strength * cosine[3 * cell + c];
+    }
+  }
+  return { turns: lampPhase * PHASE_STEP, turnsDown: hertz * readout, columns, rows, cells };
+}
+
+/** Factors on the odds by lamps at a point of the recorded picture, in shares of its width and height. */
+export function lampLight({ turns, turnsDown, columns, rows, cells }: LampsNow, across: number, down: number): number[] {
+  const x = Math.min(Math.max(across * columns - 0.5, 0), columns - 1);
+  const y = Math.min(Math.max(down * rows - 0.5, 0), rows - 1);
+  const [left, top] = [Math.floor(x), Math.floor(y)];
+  const [right, below] = [Math.min(left + 1, columns - 1), Math.min(top + 1, rows - 1)];
+  const at = (c: number): number => {
+    const cell = (row: number, column: number): number => cells[8 * (row * columns + column) + c];
+    const line = (row: number): number => cell(row, left) + (x - left) * (cell(row, right) - cell(row, left));
+    return line(top) + (y - top) * (line(below) - line(top));
+  };
+  const turn = 2 * Math.PI * (turns + turnsDown * down);
+  const [sine, cosine] = [Math.sin(turn), Math.cos(turn)];
+  return [0, 1, 2].map((c) => {
+    return Math.min(Math.max(1 + at(c) * sine + at(4 + c) * cosine, 1 / MOST_LAMP_LIGHT), MOST_LAMP_LIGHT);
+  });
 }
 
 function oddsOf({ colours }: RigCamera, correction: CameraCorrection | null): Recording["odds"] {

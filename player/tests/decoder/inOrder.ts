@@ -19,7 +19,7 @@ import {
 } from "../../src/container/packets";
 import { Decoder, type Step } from "../../src/state/decoder";
 import { combine } from "../../src/state/digest";
-import type { StreamHeader } from "../../src/scene";
+import type { CameraCorrection, StreamHeader } from "../../src/scene";
 import type { ExpectedFrame } from "./vectors";
 
 export interface Outcome {
@@ -172,10 +172,11 @@ function shWidth(sh: Float32Array, opacityLogits: Float32Array): number {
   return sh.length / opacityLogits.length;
 }
 
-const FIELDS: Record<string, readonly ("exposure" | "red" | "blue" | "yaw" | "pitch" | "roll")[]> = {
-  exposure_drift: ["exposure"],
-  white_balance_drift: ["red", "blue"],
-  camera_shake: ["yaw", "pitch", "roll"],
+const FIELDS: Record<string, readonly (readonly [string, keyof CameraCorrection])[]> = {
+  exposure_drift: [["exposure", "exposure"]],
+  white_balance_drift: [["red", "red"], ["blue", "blue"]],
+  camera_shake: [["yaw", "yaw"], ["pitch", "pitch"], ["roll", "roll"]],
+  lamp_flicker: [["lamp_phase", "lampPhase"], ["lamp_amplitude", "lampAmplitude"]],
 };
 
 /** Numbers that the stream tells; those that it does not must be 0. */
@@ -186,8 +187,8 @@ function told({ corrections }: Pick<Step, "corrections">, { corrected }: StreamH
     numbers[name] = {};
     for (const [effect, fields] of Object.entries(FIELDS)) {
       const isTold = corrected.get(effect)?.includes(name) === true;
-      for (const field of fields) {
-        if (isTold) numbers[name][field] = correction[field];
+      for (const [told, field] of fields) {
+        if (isTold) numbers[name][told] = correction[field];
         else if (correction[field] !== 0) throw new Error(`${name} has ${field}, of which nothing is told`);
       }
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,43 +10,16 @@ import pytest
 
 from decogs.encoder.analysis.effect import Evidence
 from decogs.encoder.analysis.lamp_flicker import LampFlicker
-
-HEIGHT, WIDTH = 96, 64
-Pulse = Callable[[np.ndarray], np.ndarray]
-"""Factor of the light by time, in seconds."""
-
-
-def recorded(
-    pulse: Pulse,
-    rate: float,
-    readout: float,
-    *,
-    frames: int = 20,
-    phase: float = 0.0,
-    seed: int = 0,
-    bright: float = 0.4,
-) -> np.ndarray:
-    """Pictures (F, H, W, 3) of a wall, a light that grows a little, and a thing that falls; noise of a level."""
-    random = np.random.default_rng(seed)
-    wall = bright * (0.5 + np.cumsum(random.normal(0, 0.05, (HEIGHT, WIDTH)), axis=0).clip(-0.3, 0.3))
-    rows, made = (np.arange(HEIGHT) + 0.5) / HEIGHT, []
-    for frame in range(frames):
-        light = wall * (1 + 0.01 * frame)
-        light[3 * frame % HEIGHT :][:16, 10:20] = 0.8 * bright
-        light = light * pulse(frame / rate + readout * rows + phase)[:, None]
-        coded = 255 * np.clip(light, 0, 1) ** (1 / 2.2) + random.normal(0, 1.2, light.shape)
-        made.append(np.clip(np.rint(coded), 0, 255).astype(np.uint8))
-    return np.repeat(np.stack(made)[..., None], 3, axis=3)
-
-
-def lamp(hertz: float, amplitude: float) -> Pulse:
-    return lambda time: 1 + amplitude * np.sin(2 * np.pi * hertz * time)
+from decogs.encoder.settings.encode import EncodeSettings
+from decogs.rig.check.lamps import find_lamps
+from flickering import HEIGHT, WIDTH, Pulse, lamp, recorded
 
 
 def found(pictures: list[np.ndarray], rate: float | None) -> tuple[Evidence, Any, Any]:
     names = tuple(f"cam{index:02d}" for index in range(len(pictures)))
-    values = {"pictures": tuple(pictures), "rate": rate, "names": names, "cameras": names}
-    stats: Any = type("Stats", (), values | {"frames": tuple(range(len(pictures[0])))})()
+    frames = tuple(range(len(pictures[0])))
+    lamps = tuple(find_lamps(own, frames, rate) for own in pictures)
+    stats: Any = type("Stats", (), {"lamps": lamps, "names": names, "cameras": names, "frames": frames})()
     effect = LampFlicker()
     evidence = effect.evidence(stats)
     return evidence, effect.decide(stats, evidence), stats
@@ -77,6 +49,10 @@ def test_only_cameras_that_show_bands_are_named() -> None:
     assert decision.cameras == ("cam00", "cam02", "cam03")
     assert evidence.values[1, 0] == 0
     np.testing.assert_allclose(evidence.details["readout_ms"][[0, 2, 3], 0], 16, atol=0.3)
+    built = LampFlicker().enabled(EncodeSettings(), decision)
+    assert tuple(built.corrections.lamps) == tuple(built.corrections.lamp_phases) == decision.cameras
+    assert LampFlicker().disabled(built) == EncodeSettings()
+    assert "lamps" not in built.as_document().get("corrections", {}), "the header's cameras have them"
 
 
 def test_five_frames_and_a_dark_picture_suffice() -> None:
