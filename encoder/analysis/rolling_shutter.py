@@ -1,5 +1,5 @@
-"""Rolling shutter: rows that a camera reads one after the other, as the rig's files tell. It is not guessed: what all
-cameras share of it cannot be seen, and what differs between them looks like motion."""
+"""Rolling shutter: rows that a camera reads one after the other, as the rig's files or bands of lamps tell. It is not
+guessed from motion: what all cameras share of it cannot be seen, and what differs between them looks like motion."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class RollingShutter:
             counts=cameras_beyond(evidence),
             reason=reason_of(
                 evidence,
-                f"the rig tells readouts of up to {evidence.peak:.1f} ms, {from_below} cameras read from below",
-                "the rig tells no camera's readout (`readout` in rig.json)",
+                f"readouts of up to {evidence.peak:.1f} ms, {from_below} cameras read from below",
+                "neither the rig (`readout` in rig.json) nor lamps tell a camera's readout",
             ),
             cost="no bytes; what moves is drawn at each row's time in later frames, some dB there (a fifth more CPU)",
         )

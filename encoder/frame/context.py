@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from decogs.formats.rigs.timeline import RigTime, RowTimes
+from decogs.formats.rigs.timeline import RowTimes
 from decogs.formats.splats import Splats
 from decogs.rig.pictures.ingest import Ingest
 
@@ -61,11 +61,20 @@ class Context:
             on_loss,
         )
 
+    def row_times(self) -> dict[str, RowTimes]:
+        """By camera, of those whose rows are of other times than a frame's instant, as far as later frames heed it."""
+        timeline, corrections = self.ingest.rig.timeline, self.settings.corrections
+        if not corrections.rolling_shutter:
+            timeline = replace(timeline, readouts={})
+        elif timeline.rate is not None:
+            # Bands of lamps tell what the rig's files do not.
+            seen = {name: timeline.time_of(lamp.readout) for name, lamp in corrections.lamps.items()}
+            timeline = replace(timeline, readouts={**seen, **timeline.readouts})
+        return timeline.row_times() if _follows_frame_by_frame(self.settings) else {}
+
     def new_views(self) -> SceneViews:
         """The training views, in which nothing is drawn yet."""
-        times = self.ingest.rig.timeline.row_times() if _follows_frame_by_frame(self.settings) else {}
-        if not self.settings.corrections.rolling_shutter:
-            times = {name: replace(each, readout=RigTime(0.0)) for name, each in times.items()}
+        times = self.row_times()
         views = self.ingest.views
         clocks = {
             view.camera.name: PictureClock(own, view.camera)

@@ -18,8 +18,10 @@ from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.lattice import dequantise
 from decogs.codec.scene.state import State, changed_between
 from decogs.formats.errors import TrainingError
+from decogs.formats.rigs import is_live
 from decogs.formats.splats import FloatArray, Splats, empty_splats
 from decogs.formats.stream.container import Packet, PacketKind
+from decogs.rig.parallel import side_by_side
 from decogs.rig.pictures.ingest import RigFrame, scene_extent
 from decogs.rig.stage.stage import Stage
 
@@ -27,7 +29,9 @@ from ..change.masks import FrameMask, usable_views
 from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
+from ..input.compensation import CorrectionMemory
 from ..input.compensation.frame import compensate, find_corrections, match_colours, newly_dropped, without_lamps
+from ..input.rolled_pictures import at_one_instant
 from ..keyframe.first_frame import FirstFrame, stage_of_keyframe, train_first_frame
 from ..output.reports import OnKeyframeStep
 from ..stopwatch import Stopwatch
@@ -229,7 +233,7 @@ def _start_of(encoded: Encoded) -> SceneStart:
 def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: PendingFrame | None = None) -> FirstFrame:
     """The Gaussians of a stream's first frame, or of one that shows another scene than that ``before`` it."""
     corrections = None if before is None else before.memory.corrections
-    steady = without_lamps(recorded, context.ingest.rig.fps, context.corrector, corrections)
+    steady = _steady(context, recorded, corrections)
     first = train_first_frame(
         context.kernel,
         context.ingest,
@@ -247,6 +251,18 @@ def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Pen
     if steady is recorded:
         return first
     return replace(first, recorded=match_colours(recorded, context.ingest.views, first.colours))
+
+
+def _steady(context: Context, recorded: RigFrame, memory: CorrectionMemory | None) -> RigFrame:
+    """A keyframe's pictures in the mean light of its lamps, and at one instant where the next frame is there."""
+    ingest, corrector = context.ingest, context.corrector
+    frame, times = without_lamps(recorded, ingest.rig.fps, corrector, memory), context.row_times()
+    if not times or is_live(ingest.rig) or frame.index + 1 >= ingest.rig.frame_count:
+        return frame
+    later = next(ingest.frames(frame.index + 1, frame.index + 2, first=frame.index))
+    later = without_lamps(later, ingest.rig.fps, corrector, memory)
+    with side_by_side(context.threads) as each:
+        return at_one_instant(frame, later, ingest.views, times, each)
 
 
 def earlier_first_frame(context: Context, key: State, header: StreamHeader, recorded: RigFrame) -> FirstFrame:

@@ -57,10 +57,10 @@ class RigStatistics:
     ``noise`` (cameras, F): standard deviation of the difference of successive pictures over sqrt 2, in 8-bit levels of
     full-size pixels. ``recordings``: which pictures are lost; ``details`` (cameras, BANDS): of the first pictures, at
     full size. ``moving``: whether a camera moves through the scene. ``backdrop``: the plain stage or room of the first
-    frame, seen in these pictures; None where there is neither. ``damage``: why the first picture that cannot be read
-    is none, by camera. ``readouts``: seconds from the first row to the last (`Timeline.readouts`), NaN where unknown.
-    ``rate``: frames of the rig in a second; None where unknown. ``lamps``: those that flicker in a camera's recording,
-    None where it tells nothing; where they surely do, ``pictures`` are in their mean light.
+    frame, seen in these pictures; None where there is neither. ``damage``: why the first picture that cannot be read is
+    none, by camera. ``readouts``: seconds from the first row to the last, as the rig's files or lamps tell, NaN where
+    unknown. ``rate``: frames of the rig in a second; None where unknown. ``lamps``: those that flicker in a camera's
+    recording, None where it tells nothing; where they surely do, ``pictures`` are in their mean light.
     """
 
     cameras: tuple[Camera, ...]
@@ -155,7 +155,7 @@ def gather_statistics(
         moving,
         backdrop,
         damage,
-        _readouts(rig, cameras),
+        _readouts(rig, cameras, lamps),
         rate,
         tuple(lamps),
     )
@@ -168,12 +168,11 @@ def _steady(pictures: U8, frames: Sequence[int], rate: float | None, camera: Cam
     return without_lamps(pictures, frames, rate, camera, lamps)
 
 
-def _readouts(rig: Rig, cameras: Sequence[Camera]) -> tuple[float, ...]:
-    """Seconds by camera, as the rig's files tell; NaN of others."""
-    told = rig.timeline.readouts
-    return tuple(
-        float(rig.timeline.seconds_of(told[camera.name])) if camera.name in told else float("nan") for camera in cameras
-    )
+def _readouts(rig: Rig, cameras: Sequence[Camera], lamps: Sequence[Lamps | None]) -> tuple[float, ...]:
+    """Seconds by camera, as the rig's files tell, or lamps that surely flicker; NaN of others."""
+    told = {name: float(rig.timeline.seconds_of(readout)) for name, readout in rig.timeline.readouts.items()}
+    seen = (each.wave.readout if each is not None and each.is_sure else float("nan") for each in lamps)
+    return tuple(told.get(camera.name, readout) for camera, readout in zip(cameras, seen, strict=True))
 
 
 def _repeated(
