@@ -67,9 +67,10 @@ class Context:
         if not corrections.rolling_shutter:
             timeline = replace(timeline, readouts={})
         elif timeline.rate is not None:
-            # Bands of lamps tell what the rig's files do not.
+            # Bands of lamps tell what the rig's files do not; no camera reads longer than a frame takes.
             seen = {name: timeline.time_of(lamp.readout) for name, lamp in corrections.lamps.items()}
-            timeline = replace(timeline, readouts={**seen, **timeline.readouts})
+            possible = {name: readout for name, readout in seen.items() if abs(readout) <= 1}
+            timeline = replace(timeline, readouts={**possible, **timeline.readouts})
         return timeline.row_times() if _follows_frame_by_frame(self.settings) else {}
 
     def new_views(self) -> SceneViews:

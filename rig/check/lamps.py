@@ -32,6 +32,8 @@ MIN_AMPLITUDE = 0.01
 """Of the wave, in logits, from which it counts."""
 _MIN_SHARE, _MIN_RATIO = 0.05, 4.0
 """Least share of the rest that the wave explains, in all and over that of the controls."""
+_STEADY_SHARE, _MORE_SHARE = 0.8, 0.1
+"""Of the rest: from the first on, lamps are on all the time; by the second, more in a half tells that they are not."""
 _MIN_FRAMES = 5
 _MAX_FRAMES = 120
 """Frames that are looked at: mains drift by a twentieth of a turn in so many of 30 a second."""
@@ -61,13 +63,15 @@ class Lamps:
     """What a camera shows of lamps.
 
     ``share``: of the rest of rows' light that the wave explains; ``ratio``: to the mean of other frequencies.
-    ``amplitude`` in logits. ``wave``: its constants; ``phase``: its turns at the rig's frame 0.
+    ``amplitude`` in logits. ``wave``: its constants; ``phase``: its turns at the rig's frame 0. ``seen``: in which of
+    the pictures.
     """
 
     share: float
     ratio: float
     amplitude: float
     wave: LampWave
+    seen: slice
     phase: float = 0.0
 
     @property
@@ -101,13 +105,25 @@ def hides_lamps(step: int, rate: float) -> bool:
 def find_lamps(pictures: U8, frames: Sequence[int], rate: float | None) -> Lamps | None:
     """The lamps' wave in a camera's ``pictures`` (F, H, W, 3) of the rig's ``frames``; None where nothing can be told.
 
-    Whether it `is_sure` is for the caller to ask.
+    Whether it `is_sure` is for the caller to ask. Lamps that are not on all the time are found in half of the frames.
     """
     light = _row_light(pictures[:_MAX_FRAMES])
     if rate is None or len(light) < _MIN_FRAMES:
         return None
     times = np.asarray(frames[: len(light)], np.float64) / rate
-    rest = _without_slow(light)
+    middle = len(light) // 2
+    found = _lamps_in(pictures, light, times, rate, slice(0, len(light)))
+    if found is None or (found.is_sure and found.share > _STEADY_SHARE) or middle < _MIN_FRAMES:
+        return found
+    halves = (slice(0, middle), slice(middle, len(light)))
+    parts = [each for part in halves if (each := _lamps_in(pictures, light, times, rate, part)) is not None]
+    best = max(parts, key=lambda each: (each.is_sure, each.share), default=found)
+    return best if best.is_sure and (not found.is_sure or best.share > found.share + _MORE_SHARE) else found
+
+
+def _lamps_in(pictures: U8, light: F64, times: F64, rate: float, part: slice) -> Lamps | None:
+    """Those in a part of the frames."""
+    rest, times = _without_slow(light[part]), times[part]
     told = [hertz for hertz in LAMP_HERTZ if _wanders(hertz * times)]
     if not told or not (rest**2).sum() > 0:
         return None
@@ -117,14 +133,18 @@ def find_lamps(pictures: U8, frames: Sequence[int], rate: float | None) -> Lamps
         return None
     control = float(np.mean([_coarse_wave(rest, each, times).share for each in others]))
     simple = LampWave(hertz, wave.readout, 1, 1, (0,) * 3, (0,) * 3)
-    found = Lamps(wave.share, wave.share / max(control, 1e-12), wave.amplitude, simple)
-    return _mapped(found, pictures, rest, times, others) if found.is_sure else found
+    found = Lamps(wave.share, wave.share / max(control, 1e-12), wave.amplitude, simple, part)
+    return _mapped(found, pictures[part], rest, times, others) if found.is_sure else found
 
 
 def without_lamps(pictures: U8, frames: Sequence[int], rate: float, camera: Camera, lamps: Lamps) -> U8:
-    """A camera's ``pictures`` (F, H, W, 3) in the lamps' mean light."""
-    steady = np.empty_like(pictures)
-    for number, (picture, frame) in enumerate(zip(pictures, frames, strict=True)):
+    """A camera's ``pictures`` (F, H, W, 3) in the lamps' mean light, where they were seen."""
+    steady: U8 = pictures.copy()
+    lit = range(len(pictures))
+    if lamps.seen != slice(0, min(len(pictures), _MAX_FRAMES)):
+        lit = lit[lamps.seen]
+    for number in lit:
+        picture, frame = pictures[number], frames[number]
         phase = phase_steps(lamps.phase_at(frame, rate))
         wave = Correction(lamp_phase=phase, lamp_amplitude=round(1 / LAMP_STEP), lamp=lamps.wave)
         levels = 255 * as_recorded(picture.astype(np.float32) / 255, wave, camera, undo=True)
@@ -222,7 +242,7 @@ def _mapped(found: Lamps, pictures: U8, rest: F64, times: F64, others: Sequence[
     wave = LampWave(
         hertz, readout, waves.shape[1], waves.shape[0], tuple(sine.ravel().tolist()), tuple(cosine.ravel().tolist())
     )
-    return Lamps(found.share, found.ratio, float(np.abs(waves).mean()), wave, phase / (2 * np.pi))
+    return Lamps(found.share, found.ratio, float(np.abs(waves).mean()), wave, found.seen, phase / (2 * np.pi))
 
 
 def _cells(waves: C128) -> C128:

@@ -65,6 +65,19 @@ def test_pictures_without_them_are_those_of_their_mean_light(other) -> None:
     assert np.abs(rows).mean() < 1.2
 
 
+def test_lamps_that_are_switched_off_are_found_in_the_frames_before() -> None:
+    """All light falls by two fifths then; pictures after it stay as they are."""
+    camera = Camera("a", WIDTH, HEIGHT, 60.0, 60.0, WIDTH / 2, HEIGHT / 2, np.eye(4))
+    off = 10 / 30
+    pictures = recorded(lambda time: np.where(time < off - 0.02, lamp(100, 0.15)(time), 0.6), 30, 0.016)
+    lamps = found(pictures)
+    assert lamps.seen == slice(0, 10)
+    assert 1000 * lamps.wave.readout == pytest.approx(16, abs=1)
+    steady = without_lamps(pictures, range(20), 30, camera, lamps)
+    np.testing.assert_array_equal(steady[10:], pictures[10:])
+    assert (steady[:9] != pictures[:9]).any(axis=(1, 2, 3)).all()
+
+
 @pytest.mark.parametrize(
     ("rate", "steps"), [(30.0, {3: True, 1: False, 2: False, 4: False, 6: True}), (25.0, {5: True, 1: False, 2: False})]
 )
