@@ -17,7 +17,15 @@ from decogs.formats.geometry.rotations import is_orthonormal
 from decogs.formats.stream.container import PACKET_HEADER_SIZE, PROLOGUE_SIZE
 from decogs.formats.stream.reasons import Reason
 
-from ..packets.corrections import EFFECT_FIELDS, LARGEST, CorrectedCameras, Correction, Corrections, LampWave, lamps_of
+from ..packets.corrections import (
+    ALWAYS_LIT,
+    EFFECT_FIELDS,
+    LARGEST,
+    CorrectedCameras,
+    Correction,
+    Corrections,
+    LampWave,
+)
 from ..packets.sound import SoundTrack, read_sound_tracks
 from ..scene.lattice import Lattice, Vector
 from .presentation import Presentation, read_presentation
@@ -35,6 +43,7 @@ _QUATERNION_STEP_MAX = 0.5
 _COORDINATE_MAX = 1e12
 _RIGID_TOLERANCE = 1e-2
 
+LAMP_EFFECT = "lamp_flicker"
 CONSTANT_EFFECTS = ("colour_mismatch", "lens_falloff")
 """Effects in which cameras differ from the scene in every frame alike: the header has them, no frame."""
 EFFECTS = frozenset(
@@ -159,9 +168,9 @@ class StreamHeader:
             writer=fields.text("writer"),
             settings=fields.settings("settings"),
             corrected=_corrected(fields) if fields.has("corrected") else CorrectedCameras(),
-            camera_colours=_camera_colours(fields),
             subject=fields.flag("subject"),
         )
+        header = replace(header, camera_colours=_camera_colours(fields, header.corrected))
         names = [camera.name for camera in header.cameras]
         if fields.has("presentation"):
             header = replace(header, presentation=read_presentation(fields.value("presentation"), names))
@@ -427,24 +436,26 @@ def _check_corrected(header: StreamHeader) -> None:
     corrected, seen = header.corrected, {camera.name for camera in header.cameras} - set(header.held_out)
     for effect in EFFECT_FIELDS:
         names = getattr(corrected, effect)
-        if bool(names) != (effect in header.effects):
+        if bool(names) != (effect in header.effects) and effect != LAMP_EFFECT:
             _refuse(f"effects and corrected disagree on {effect}")
         if len(set(names)) != len(names) or not set(names) <= seen:
             _refuse(f"corrected.{effect} names a camera twice, or one that training did not see")
-    if set(lamps_of(header.camera_colours)) != set(corrected.lamp_flicker):
-        _refuse("cameras with a lamp and corrected.lamp_flicker disagree")
 
 
-def _camera_colours(fields: _Fields) -> dict[str, Correction]:
-    """Of the cameras that have them: exposure, red and blue, and the fall-off."""
+def _camera_colours(fields: _Fields, corrected: CorrectedCameras) -> dict[str, Correction]:
+    """Of the cameras that have them: exposure, red and blue, the fall-off, and lamps."""
     colours = {}
     for number, document in enumerate(fields.list("cameras", 1, MAX_CAMERAS)):
         camera = _Fields(document, f"cameras[{number}].")
         if any(map(camera.has, ("colours", "falloff", "lamp"))):
             exposure, red, blue = camera.integers("colours", 3, LARGEST) if camera.has("colours") else (0, 0, 0)
             falloff = camera.integer("falloff", 1, LARGEST) if camera.has("falloff") else 0
-            lamp = _lamp(_Fields(camera.value("lamp"), f"cameras[{number}].lamp.")) if camera.has("lamp") else None
-            colours[camera.name("name")] = Correction(exposure, red, blue, falloff=falloff, lamp=lamp)
+            own = Correction(exposure, red, blue, falloff=falloff)
+            if camera.has("lamp"):
+                lamp = _lamp(_Fields(camera.value("lamp"), f"cameras[{number}].lamp."))
+                always = 0 if camera.name("name") in corrected.lamp_flicker else ALWAYS_LIT
+                own = replace(own, lamp=lamp, lamp_amplitude=always)
+            colours[camera.name("name")] = own
     return colours
 
 
@@ -452,7 +463,9 @@ def constant_effects(colours: Corrections) -> tuple[str, ...]:
     """The effects in which cameras with these ``colours`` differ from the scene in every frame."""
     mismatch = any(map(_has_colours, colours.values()))
     falloff = any(each.falloff for each in colours.values())
-    return (*(("colour_mismatch",) if mismatch else ()), *(("lens_falloff",) if falloff else ()))
+    lit = any(each.has_wave for each in colours.values())
+    there = (("colour_mismatch", mismatch), ("lens_falloff", falloff), (LAMP_EFFECT, lit))
+    return tuple(effect for effect, is_there in there if is_there)
 
 
 def _has_colours(colours: Correction) -> bool:
@@ -466,6 +479,9 @@ def _check_colours(header: StreamHeader) -> None:
     for effect in CONSTANT_EFFECTS:
         if (effect in there) != (effect in header.effects):
             _refuse(f"effects and the cameras' colours disagree on {effect}")
+    lit = {name for name, each in header.camera_colours.items() if each.lamp}
+    if not set(header.corrected.lamp_flicker) <= lit or bool(lit) != (LAMP_EFFECT in header.effects):
+        _refuse(f"cameras with a lamp, corrected.{LAMP_EFFECT} and effects disagree")
     if set(header.camera_colours) & set(header.held_out):
         _refuse("a camera that training did not see has colours")
 

@@ -33,6 +33,9 @@ LAMP_STEP = 2.0**-12
 """Share of a colour's odds per unit of a lamp's ``sine`` and ``cosine``, and how much of these there is per unit of
 ``lamp_amplitude``."""
 
+ALWAYS_LIT = 1 << 12
+"""The ``lamp_amplitude`` of a camera of whose lamps no frame tells: their whole strength, at phase 0."""
+
 LARGEST = (1 << 15) - 1
 """Largest magnitude of a number that the encoder writes; a block may hold one below it, the last of 16 bits."""
 
@@ -103,7 +106,7 @@ class Correction:
     ``exposure``, in all channels, and ``red`` and ``blue``, in theirs, add to the logarithm of a colour's odds, in
     COLOUR_STEP. ``yaw``, ``pitch``, ``roll`` turn the camera about its own y, x and z axes, in ANGLE_STEP. ``falloff``
     darkens the picture's border, in FALLOFF_STEP; it is the same in every frame, as ``lamp`` is: a wave over the
-    picture, by ``lamp_phase`` in PHASE_TURNS and ``lamp_amplitude`` in LAMP_STEP.
+    picture, by ``lamp_phase`` in PHASE_TURNS and ``lamp_amplitude`` in LAMP_STEP, ALWAYS_LIT where no frame tells it.
     """
 
     exposure: int = 0
@@ -166,20 +169,23 @@ def phase_steps(turns: float) -> int:
 
 def with_colours(correction: Correction, colours: Correction) -> Correction:
     """The correction of a camera whose ``colours`` differ from the scene's in every frame."""
-    names = ("exposure", "red", "blue", "falloff")
+    names = ("exposure", "red", "blue", "falloff", "lamp_phase", "lamp_amplitude")
     added = {name: getattr(correction, name) + getattr(colours, name) for name in names}
     return replace(correction, lamp=colours.lamp or correction.lamp, **added)
 
 
 def with_lamps(colours: Corrections, lamps: Mapping[str, LampWave]) -> Corrections:
-    """Cameras' constant ``colours`` with exactly these ``lamps``."""
-    own = {name: each for name, each in colours.items() if each.lamp is None or each.has_gain or each.falloff}
-    return {name: replace(own.get(name, Correction()), lamp=lamps.get(name)) for name in {**own, **lamps}}
+    """Cameras' constant ``colours`` with exactly these ``lamps`` of which frames tell."""
+    told = lamps_of(colours)
+    own = {name: replace(each, lamp=None) if name in told else each for name, each in colours.items()}
+    kept = {name: each for name, each in own.items() if name not in told or each.has_gain or each.falloff}
+    lit = {name: replace(kept.get(name, Correction()), lamp=lamp) for name, lamp in lamps.items()}
+    return {**kept, **lit}
 
 
 def lamps_of(colours: Corrections) -> dict[str, LampWave]:
-    """By camera, the lamps of those that have some."""
-    return {name: each.lamp for name, each in colours.items() if each.lamp is not None}
+    """By camera, the lamps of which frames tell."""
+    return {name: each.lamp for name, each in colours.items() if each.lamp is not None and not each.lamp_amplitude}
 
 
 def turn(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:

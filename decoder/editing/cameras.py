@@ -46,7 +46,9 @@ def with_cameras(header: StreamHeader, name_of: Callable[[str], str | None]) -> 
 def with_effects_of(effects: Iterable[str], corrected: CorrectedCameras, colours: Corrections) -> tuple[str, ...]:
     """The effects with those of cameras exactly where cameras have them (SPEC.md, "Header packet")."""
     has_effect = dict.fromkeys(CONSTANT_EFFECTS, False) | dict.fromkeys(constant_effects(colours), True)
-    has_effect |= {effect: bool(getattr(corrected, effect)) for effect in EFFECT_FIELDS}
+    has_effect |= {
+        effect: bool(getattr(corrected, effect)) or has_effect.get(effect, False) for effect in EFFECT_FIELDS
+    }
     named = dict.fromkeys([*effects, *has_effect])
     return tuple(effect for effect in named if has_effect.get(effect, True))
 

@@ -148,6 +148,9 @@ def with_effects(
         if chosen != without:
             built.append(name)
         settings = chosen
+    # Bands that stand still are for the keyframe to find.
+    sought = wanted.base == AUTO and LampFlicker.name not in wanted.dropped
+    settings = replace(settings, corrections=replace(settings.corrections, standing_bands=sought))
     return replace(settings, effects=tuple(built), detect_per_frame=wanted.base == AUTO)
 
 

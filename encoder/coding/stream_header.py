@@ -45,10 +45,8 @@ def stream_header(
         sh_degree=sh_degree,
         fps=rig.fps,
         first_frame=first,
-        effects=(
-            *_carried(settings, rig, sh_degree),
-            *constant_effects(colours),
-            *corrected.effects,
+        effects=tuple(
+            dict.fromkeys((*_carried(settings, rig, sh_degree), *constant_effects(colours), *corrected.effects))
         ),
         held_out=tuple(view.camera.name for view in ingest.held_out_views),
         source_text=rig.source_text,

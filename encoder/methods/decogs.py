@@ -117,7 +117,8 @@ def _iteration_factor(
     if brighter and training.frame.stopping.deadline is None:
         return brighter_iteration_factor(settings.joint_iterations)
     training.draw(probes, work, work.optimiser)
-    return iteration_factor(settings.adaptive_iterations, settings.joint_iterations, training.errors(probes))
+    errors, on_stage = training.errors(probes), training.frame.stage is not None
+    return iteration_factor(settings.adaptive_iterations, settings.joint_iterations, errors, on_stage=on_stage)
 
 
 def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, growth: _Growth) -> None:

@@ -36,6 +36,9 @@ PRESET_EFFECTS = (*FRAME_EFFECTS, *KEYFRAME_EFFECTS, *RIG_EFFECTS)
 """Effects of what the cameras see, which frames and the keyframe decide about; those of a preset by itself."""
 
 
+Turns = Annotated[float, Within(-1, 1)]
+
+
 @dataclass(frozen=True)
 class CorrectionSettings(Checked):
     """The cameras whose drift is compensated, by name; each one is a little slower."""
@@ -45,14 +48,13 @@ class CorrectionSettings(Checked):
     shake: tuple[str, ...] = ()  # cameras that rotate about their centre
     lens: Mapping[str, Annotated[float, Within(-10, 10)]] = field(default_factory=dict)  # k1 that calibration lacks
     lamps: Mapping[str, LampWave] = field(default_factory=dict)  # that flicker over the rows of a camera's pictures
-    lamp_phases: Mapping[str, Annotated[float, Within(-1, 1)]] = field(
-        default_factory=dict
-    )  # their turns at the rig's frame 0
+    lamp_phases: Mapping[str, Turns] = field(default_factory=dict)  # of those at the rig's frame 0
     match_colours: bool = False  # constant differences between all cameras, too
+    standing_bands: bool = False  # bands of lamps that stand still in their pictures, where the frame rate makes them
     falloff: bool = True  # darker borders of their pictures, where they surely are
     rolling_shutter: bool = True  # rows that are read one after the other, of cameras whose readout the rig tells
 
     @property
     def are_constant(self) -> bool:
         """Whether differences that cameras have in every frame alike are looked for."""
-        return self.match_colours or self.falloff
+        return self.match_colours or self.falloff or self.standing_bands

@@ -86,13 +86,14 @@ class EncodeSettings(Checked):
                 self.corrections,
                 lamps={},
                 lamp_phases={},
+                standing_bands=CorrectionSettings.standing_bands,
                 falloff=CorrectionSettings.falloff,
                 rolling_shutter=CorrectionSettings.rolling_shutter,
             ),
             effects=tuple(name for name in self.effects if name not in ("lens_falloff", *RIG_EFFECTS)),
         )
         document: dict[str, Any] = json.loads(json.dumps(asdict(shown)))
-        for found in ("lamps", "lamp_phases", "falloff", "rolling_shutter"):
+        for found in ("lamps", "lamp_phases", "standing_bands", "falloff", "rolling_shutter"):
             del document["corrections"][found]
         omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(shown) == usual]
         if (self.effects, self.detect_per_frame) == (PRESET_EFFECTS, False):

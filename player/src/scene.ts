@@ -23,6 +23,8 @@ export interface RigCamera extends Lens, LensModel {
   readonly falloff: number;
   /** How lamps that flicker change its pictures (SPEC section 6, "Corrections"); null where none do. */
   readonly lamp: LampWave | null;
+  /** What frames' amplitudes of it are added to: all of it, 4096, where no frame tells of it. */
+  readonly lampAmplitude: number;
 }
 
 /** A wave over the rows of a camera's pictures (SPEC section 4): strengths in 1/4096, red, green and blue of each cell. */

@@ -92,14 +92,17 @@ class _Wave:
     readout: float
 
 
+def standing_hertz(rate: float | None, step: int = 1) -> tuple[float, ...]:
+    """Pulses in a second whose bands stand still over every ``step``-th frame, of ``rate`` in a second."""
+    if rate is None:
+        return ()
+    turns = {hertz: hertz * step / rate for hertz in LAMP_HERTZ}
+    return tuple(hertz for hertz, each in turns.items() if abs(each - round(each)) < _MIN_TURNS)
+
+
 def hides_lamps(step: int, rate: float) -> bool:
     """Whether bands that wander over all frames stand still over every ``step``-th."""
-
-    def stands(hertz: float, step: int) -> bool:
-        turns = hertz * step / rate
-        return abs(turns - round(turns)) < _MIN_TURNS
-
-    return any(stands(hertz, step) and not stands(hertz, 1) for hertz in LAMP_HERTZ)
+    return bool(set(standing_hertz(rate, step)) - set(standing_hertz(rate)))
 
 
 def find_lamps(pictures: U8, frames: Sequence[int], rate: float | None) -> Lamps | None:

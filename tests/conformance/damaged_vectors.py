@@ -303,7 +303,9 @@ def damaged_colours() -> Iterator[Vector]:
 
     wrong = {
         "held-out-camera": lit(3),
-        "not-corrected": lit(1),
+        "effect-not-named": canonical(
+            {**flickering, "effects": ["exposure_drift"], "corrected": {"exposure_drift": ["a"]}}
+        ),
         "too-slow": lit(0, hertz=0.5),
         "no-cells": lit(0, columns=0, sine=[], cosine=[]),
         "too-many-cells": lit(0, rows=17, sine=17 * [0, 0, 0], cosine=17 * [0, 0, 0]),

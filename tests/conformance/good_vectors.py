@@ -416,6 +416,8 @@ def good_colours() -> Iterator[Vector]:
         else:
             stream.skip()
     yield stream.good("good/lamps")
+    alone = {name: value for name, value in flickering_header().items() if name != "corrected"}
+    yield opened(document={**alone, "effects": ["lamp_flicker"]}).good("good/lamps-alone")
 
 
 def darkened_header() -> dict[str, Any]:

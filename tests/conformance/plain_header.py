@@ -195,8 +195,8 @@ def check_header(header: dict[str, Any]) -> None:
     expect(is_names(header["held_out"]) and set(header["held_out"]) <= set(names))
     check_corrected(header, set(names) - set(header["held_out"]))
     lit = {camera["name"] for camera in cameras if "lamp" in camera}
-    expect(lit == set(header.get("corrected", {}).get("lamp_flicker", [])))
-    for member, effect in (("colours", "colour_mismatch"), ("falloff", "lens_falloff")):
+    expect(lit >= set(header.get("corrected", {}).get("lamp_flicker", [])))
+    for member, effect in (("colours", "colour_mismatch"), ("falloff", "lens_falloff"), ("lamp", "lamp_flicker")):
         different = {camera["name"] for camera in cameras if member in camera}
         expect(not different & set(header["held_out"]))
         expect(bool(different) == (effect in header["effects"]))
@@ -211,7 +211,7 @@ def check_corrected(header: dict[str, Any], seen: set[str]) -> None:
     for effect in CORRECTIONS:
         names = corrected.get(effect, [])
         expect(is_names(names) and len(set(names)) == len(names) and set(names) <= seen)
-        expect(bool(names) == (effect in header["effects"]))
+        expect(bool(names) == (effect in header["effects"]) or effect == "lamp_flicker")
 
 
 def check_camera(camera: Any) -> None:

@@ -290,8 +290,9 @@ def test_what_the_others_miss_is_the_median_of_those_but_one() -> None:
 def test_a_segment_goes_on_with_the_first_frames_corrections_and_nothing_else() -> None:
     nowhere = np.zeros((1, 0), np.int64)
     first = {"cam00": Correction(exposure=3)}
-    memory = CorrectionMemory(SharedSurface(nowhere, nowhere, nowhere > 0), first)
+    memory = CorrectionMemory(SharedSurface(nowhere, nowhere, nowhere > 0)).begin(first, 5)
     later = replace(memory, benefits={("cam00", "shake"): Benefit()}, dropped=frozenset({("cam00", "shake")}))
+    later = replace(later, latest={"cam00": Correction(exposure=9)}, index=8)
     assert later != memory
     assert later.restart() == memory
 

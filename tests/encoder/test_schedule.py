@@ -92,6 +92,15 @@ def test_what_is_missed_more_than_usual_gets_as_much_longer(missed: float, facto
     assert iteration_factor(IterationSettings(usual_miss=0.15), 100, [np.zeros((3, 0), np.float32)]) == 1
 
 
+@pytest.mark.parametrize(("missed", "factor"), [(0.09, 0.6), (0.15, 1.0), (0.3, 4.0), (0.9, 6.0)])
+def test_what_is_missed_on_a_stage_gets_more_than_that(missed: float, factor: float) -> None:
+    view = np.full((3, 1000), 0.09, np.float32)
+    view[1, : round(missed * view.shape[1])] = -0.11
+    settings = IterationSettings(usual_miss=0.15, min_factor=0.6)
+    assert iteration_factor(settings, 60, [view], on_stage=True) == pytest.approx(factor, rel=0.01)
+    assert iteration_factor(settings, 240, [view], on_stage=True) == pytest.approx(min(factor, 2), rel=0.01)
+
+
 @pytest.mark.parametrize(("usual", "steps"), [(30, 180), (120, 720), (250, 750), (1000, 1000)])
 def test_a_light_that_steps_do_not_follow_gets_more_of_them(usual: int, steps: int) -> None:
     assert usual * brighter_iteration_factor(usual) == pytest.approx(steps)

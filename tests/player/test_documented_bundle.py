@@ -1,4 +1,4 @@
-"""The bundle of frame_source.ts, made as docs/exports.md tells, loads in a Node without the newest functions."""
+"""The bundle of frame_source.ts, made as player/README.md tells, loads in a Node without the newest functions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from node import PLAYER, node
 
-PAGE = PLAYER.parent / "docs" / "exports.md"
+PAGE = PLAYER / "README.md"
 
 
 def test_the_documented_command_makes_a_module_that_loads(tmp_path: Path) -> None:

@@ -10,44 +10,86 @@ from numpy.typing import NDArray
 
 from decogs.codec.packets.corrections import Correction, Corrections, with_colours
 from decogs.formats.splats import FloatArray
+from decogs.rig.check.lamps import standing_hertz
 from decogs.rig.pictures.ingest import RigFrame, View
 
 from ...settings.effects import CorrectionSettings
 from ...stopwatch import Stopwatch
 from . import CorrectionMemory, Corrector, RenderView
 from .colour import remove_colours
-from .falloff import falloff_corrections, find_falloff
+from .falloff import falloff_corrections, falloff_of
+from .lamps import LampView, recorded_at
 from .matching import find_colours
+from .point_fit import PointFit, shared_points
+from .standing_bands import band_corrections, find_bands
 
 
 def find_camera_colours(
-    frame: RigFrame, views: Sequence[View], settings: CorrectionSettings, xyz: FloatArray, seen: NDArray[np.bool_]
+    frame: RigFrame,
+    rate: float | None,
+    views: Sequence[View],
+    settings: CorrectionSettings,
+    xyz: FloatArray,
+    seen: NDArray[np.bool_],
 ) -> Corrections:
-    """How cameras differ in every frame: their fall-offs, and, without these, their gains.
+    """How cameras differ in every frame: their fall-offs and standing bands, and, without these, their gains.
 
-    ``xyz`` (P, 3): points of the surface, which the views see where ``seen`` (V, P).
+    ``rate``: frames in a second. ``xyz`` (P, 3): points of the surface, which the views see where ``seen`` (V, P).
     """
-    falloffs: Corrections = {}
-    if settings.falloff:
-        falloffs = falloff_corrections(views, find_falloff(views, frame.training, xyz, seen))
+    shades = _shades(frame, rate, views, settings, xyz, seen)
     if not settings.match_colours:
-        return falloffs
-    gains = find_colours(views, match_colours(frame, views, falloffs).training, xyz, seen)
+        return shades
+    gains = find_colours(views, match_colours(frame, views, shades).training, xyz, seen)
+    return _together(gains, shades)
+
+
+def _shades(
+    frame: RigFrame,
+    rate: float | None,
+    views: Sequence[View],
+    settings: CorrectionSettings,
+    xyz: FloatArray,
+    seen: NDArray[np.bool_],
+) -> Corrections:
+    """Fall-offs and standing bands of the cameras."""
+    hertz = standing_hertz(rate) if settings.standing_bands and not settings.lamps else ()
+    if not (settings.falloff or hertz):
+        return {}
+    points = shared_points(views, frame.training, xyz, seen)
+    fit = PointFit(points)
+    fit.fit()
+    bands: Corrections = {}
+    if hertz:
+        fit, sure = find_bands(points, fit)
+        bands = band_corrections(views, fit, sure, hertz[0])
+    return _together(falloff_corrections(views, falloff_of(fit, points)) if settings.falloff else {}, bands)
+
+
+def _together(some: Corrections, others: Corrections) -> Corrections:
     none = Correction()
-    return {name: with_colours(gains.get(name, none), falloffs.get(name, none)) for name in {**gains, **falloffs}}
+    return {name: with_colours(some.get(name, none), others.get(name, none)) for name in {**some, **others}}
 
 
 def match_colours(frame: RigFrame, views: Sequence[View], colours: Corrections) -> RigFrame:
     """The frame without the constant differences between its cameras' ``colours``."""
     if not colours:
         return frame
-    pictures = [
-        remove_colours(picture, own, view.pinhole)
-        if (own := colours.get(view.camera.name, Correction())).is_coloured
-        else picture
-        for view, picture in zip(views, frame.training, strict=True)
-    ]
-    return replace(frame, training=pictures)
+    none = Correction()
+    return replace(
+        frame,
+        training=[
+            _in_own_colours(picture, colours.get(view.camera.name, none), view)
+            for view, picture in zip(views, frame.training, strict=True)
+        ],
+    )
+
+
+def _in_own_colours(picture: FloatArray, colours: Correction, view: View) -> FloatArray:
+    """A view's picture in the scene's own colours; the very object where its camera has none of its own."""
+    if colours.has_wave and colours.lamp is not None:
+        picture = LampView(colours.lamp, recorded_at(view), view.valid).undo(picture, colours)
+    plain = replace(colours, lamp=None)
+    return remove_colours(picture, plain, view.pinhole) if plain.is_coloured else picture
 
 
 def find_corrections(

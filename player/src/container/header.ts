@@ -13,6 +13,8 @@ const MAX_LAMP_CELLS = 16;
 const COEFFICIENTS = { none: [0], opencv: [4, 5, 8], fisheye: [4] } as const;
 /** Effects whose parameters each frame's corrections block has (SPEC section 6). */
 export const CORRECTED_EFFECTS = ["exposure_drift", "white_balance_drift", "camera_shake", "lamp_flicker"] as const;
+const LAMPS = "lamp_flicker";
+const ALWAYS_LIT = 4096;
 const EFFECTS: ReadonlySet<string> = new Set([
   "motion",
   "appearance_change",
@@ -28,8 +30,9 @@ const EFFECTS: ReadonlySet<string> = new Set([
 export function readHeader(payload: Uint8Array): StreamHeader {
   if (payload.length > MAX_HEADER_BYTES) refuse("too-large", `a header of ${payload.length} bytes is above the limit`);
   const members = object(parseJson(payload), "the header");
-  const cameras = list(members, "cameras", 1, MAX_CAMERAS).map(readCamera);
   const effects = names(members, "effects");
+  const corrected = readCorrected(members, effects);
+  const cameras = list(members, "cameras", 1, MAX_CAMERAS).map(readCamera).map(alwaysLit(corrected.get(LAMPS) ?? []));
   const heldOut = names(members, "held_out");
   const header: StreamHeader = {
     cameras,
@@ -40,7 +43,7 @@ export function readHeader(payload: Uint8Array): StreamHeader {
     background: vector(member(members, "background"), "background", 3, -1000, 1000),
     effects,
     heldOut,
-    corrected: readCorrected(members, effects),
+    corrected,
     subject: readFlag(members, "subject"),
     presentation: readPresentation(members.get("presentation"), cameras.map(({ name }) => name)),
     sound: readSoundTracks(members.get("sound"), readFps(member(members, "fps"))),
@@ -104,7 +107,13 @@ function readCamera(value: JsonValue): RigCamera {
     colours: members.has("colours") ? readColours(member(members, "colours")) : null,
     falloff: members.has("falloff") ? integer(member(members, "falloff"), "falloff", 1, 32_767) : 0,
     lamp: members.has("lamp") ? readLamp(object(member(members, "lamp"), "lamp")) : null,
+    lampAmplitude: 0,
   };
+}
+
+/** A camera, whose lamps are those of every frame alike unless frames tell of them. */
+function alwaysLit(told: readonly string[]): (camera: RigCamera) => RigCamera {
+  return (camera) => (camera.lamp === null || told.includes(camera.name) ? camera : { ...camera, lampAmplitude: ALWAYS_LIT });
 }
 
 function readLamp(members: JsonObject): LampWave {
@@ -169,21 +178,22 @@ function readCorrected(members: JsonObject, effects: readonly string[]): Map<str
   const corrected = new Map<string, string[]>();
   for (const effect of CORRECTED_EFFECTS) {
     const cameras = lists.has(effect) ? names(lists, effect) : [];
-    if (cameras.length > 0 !== effects.includes(effect)) bad(`corrected and effects disagree about ${effect}`);
+    if (cameras.length > 0 !== effects.includes(effect) && effect !== LAMPS) bad(`corrected and effects disagree about ${effect}`);
     if (cameras.length > 0) corrected.set(effect, cameras);
   }
   return corrected;
 }
 
-function checkCorrected({ cameras, heldOut, corrected }: StreamHeader): void {
+function checkCorrected({ cameras, effects, heldOut, corrected }: StreamHeader): void {
   const seen = new Set(cameras.map((camera) => camera.name));
   for (const name of heldOut) seen.delete(name);
   for (const [effect, names] of corrected) {
     if (new Set(names).size < names.length) bad(`corrected names a camera twice: ${effect}`);
     if (!names.every((name) => seen.has(name))) bad(`corrected names a camera that training did not see: ${effect}`);
   }
-  const flickering = corrected.get("lamp_flicker") ?? [];
-  if (cameras.some(({ name, lamp }) => (lamp !== null) !== flickering.includes(name))) bad("lamps and lamp_flicker disagree");
+  const lit = cameras.filter(({ lamp }) => lamp !== null).map(({ name }) => name);
+  if (lit.length > 0 !== effects.includes(LAMPS)) bad("lamps and lamp_flicker disagree");
+  if (!(corrected.get(LAMPS) ?? []).every((name) => lit.includes(name))) bad("lamp_flicker names a camera without a lamp");
 }
 
 // Members and their types.

@@ -5,7 +5,6 @@ const EFFECTS: ReadonlyMap<string, string> = new Map([
   ["exposure_drift", "changing exposure"],
   ["white_balance_drift", "changing white balance"],
   ["camera_shake", "shaking"],
-  ["lamp_flicker", "flickering light"],
 ]);
 
 /** A sentence; null when the picture is the camera's own. */
@@ -16,6 +15,7 @@ export function cameraNote(header: StreamHeader, name: string): string | null {
   if (camera.distortionModel !== "none") missing.push("lens distortion");
   if (camera.colours !== null) missing.push("own colours");
   if (camera.falloff !== 0) missing.push("darker border");
+  if (camera.lamp !== null) missing.push("flickering light");
   for (const [effect, text] of EFFECTS) {
     if (header.corrected.get(effect)?.includes(name) === true) missing.push(text);
   }

@@ -4,7 +4,7 @@
  *
  * A wider pinhole is drawn, which sees all that the lens sees, and resampled; then the colours' odds are multiplied.
  */
-import type { CameraCorrection, LampWave, RigCamera } from "../scene";
+import type { CameraCorrection, RigCamera } from "../scene";
 import { isDistorted, straightening, type LensModel } from "./lens";
 import type { LampsNow, PinholeCamera, Recording } from "./camera";
 
@@ -48,13 +48,14 @@ export function recordingOf(
   const [width, height] = [scale * camera.width, scale * camera.height];
   const area = { left: (window.width - width) / 2, top: (window.height - height) / 2, width, height };
   const falloff = camera.falloff * COLOUR_STEP;
-  const lamps = camera.lamp === null || correction === null ? null : lampsNow(camera.lamp, correction);
+  const lamps = lampsNow(camera, correction);
   return { lens: isDistorted(camera) ? camera : null, odds: oddsOf(camera, correction), falloff, lamps, ...area };
 }
 
-function lampsNow({ hertz, readout, columns, rows, sine, cosine }: LampWave, correction: CameraCorrection): LampsNow | null {
-  const { lampPhase, lampAmplitude } = correction;
-  if (lampAmplitude === 0) return null;
+function lampsNow({ lamp, lampAmplitude: always }: RigCamera, correction: CameraCorrection | null): LampsNow | null {
+  const lampAmplitude = always + (correction?.lampAmplitude ?? 0);
+  if (lamp === null || lampAmplitude === 0) return null;
+  const { hertz, readout, columns, rows, sine, cosine } = lamp;
   const cells = new Float32Array(8 * columns * rows);
   const strength = LAMP_STEP * LAMP_STEP * lampAmplitude;
   for (let cell = 0; cell < columns * rows; cell++) {
@@ -63,7 +64,7 @@ function lampsNow({ hertz, readout, columns, rows, sine, cosine }: LampWave, cor
       cells[8 * cell + 4 + c] = strength * cosine[3 * cell + c];
     }
   }
-  return { turns: lampPhase * PHASE_STEP, turnsDown: hertz * readout, columns, rows, cells };
+  return { turns: (correction?.lampPhase ?? 0) * PHASE_STEP, turnsDown: hertz * readout, columns, rows, cells };
 }
 
 /** Factors on the odds by lamps at a point of the recorded picture, in shares of its width and height. */

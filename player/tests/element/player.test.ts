@@ -9,7 +9,7 @@ import type { RigCamera, StreamHeader } from "../../src/scene";
 
 const SOURCE = "http://localhost/page/a.dgs";
 const camera = (name: string, x: number) =>
-  ({ name, width: 200, height: 150, fx: 160, fy: 160, cx: 100, cy: 75, near: 0, distortionModel: "none", distortion: [], colours: null, falloff: 0, lamp: null, worldToCamera: [[1, 0, 0, -x], [0, 1, 0, 0], [0, 0, 1, 0]] }) as RigCamera;
+  ({ name, width: 200, height: 150, fx: 160, fy: 160, cx: 100, cy: 75, near: 0, distortionModel: "none", distortion: [], colours: null, falloff: 0, lamp: null, lampAmplitude: 0, worldToCamera: [[1, 0, 0, -x], [0, 1, 0, 0], [0, 0, 1, 0]] }) as RigCamera;
 const STREAM = { cameras: [camera("a", 0), camera("b", 1)], heldOut: [], corrected: new Map(), background: [0, 0, 0], subject: false } as Partial<StreamHeader>;
 
 type Fake = FakeElement & { isConnected: boolean };

@@ -106,7 +106,9 @@ def test_auto_asks_every_frame_and_takes_what_the_scene_calls_for() -> None:
     assert settings.effects == (*FRAME_EFFECTS, "exposure_drift", *KEYFRAME_EFFECTS, *RIG_EFFECTS)
     assert settings.corrections.exposure == ("cam01",)
     assert settings.keyframe.sh_degree == STANDARD.keyframe.sh_degree, "the keyframe decides"
-    assert built("auto,-exposure_drift", decisions("exposure_drift")).corrections == STANDARD.corrections
+    plain = built("auto,-exposure_drift", decisions("exposure_drift")).corrections
+    assert plain == replace(STANDARD.corrections, standing_bands=True), "which the keyframe looks for"
+    assert built("auto,-lamp_flicker", decisions()).corrections == STANDARD.corrections
 
 
 def test_where_most_cameras_drift_all_are_corrected() -> None:
@@ -124,7 +126,8 @@ def test_where_most_cameras_drift_all_are_corrected() -> None:
 
 def test_a_rig_that_calls_for_nothing_changes_nothing_that_the_preset_has() -> None:
     settings = built("auto", decisions())
-    assert replace(settings, effects=STANDARD.effects, detect_per_frame=False) == STANDARD
+    plain = replace(settings.corrections, standing_bands=False)
+    assert replace(settings, effects=STANDARD.effects, detect_per_frame=False, corrections=plain) == STANDARD
 
 
 def test_a_fixed_choice_does_not_look_at_the_rig() -> None:
