@@ -121,3 +121,12 @@ def band_lamp():
     assert 120 * lamp.readout == pytest.approx(TURNS[1], abs=0.1)
     assert np.hypot(lamp.sine[0], lamp.cosine[0]) * LAMP_STEP == pytest.approx(0.09, abs=0.02)
     return lamp
+
+
+def test_without_points_nothing_is_known() -> None:
+    """Of small pictures, too: no warning of empty means comes of it."""
+    pictures, xyz, seen = recorded(0.15)
+    settings = CorrectionSettings(standing_bands=True)
+    for points in (0, 3, 60):
+        frame = RigFrame(0, pictures, [])
+        assert find_camera_colours(frame, 25.0, VIEWS, settings, xyz[:points], seen[:, :points]) == {}

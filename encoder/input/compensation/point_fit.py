@@ -104,7 +104,9 @@ class PointFit:
         self.is_known = (counts >= _MIN_VIEW_POINTS) & points.is_large
 
     def fit(self, rounds: int = _ROUNDS) -> None:
-        """Improves all parameters."""
+        """Improves all parameters, where any view tells some."""
+        if not self.is_known.any():
+            return
         every = np.arange(self._logs[0].shape[1])
         for _ in range(rounds):
             self._step(_solved(*self._equations(every)))

@@ -38,9 +38,11 @@ cameras without, .26 and 6.5 the most of a rig's middle one."""
 def find_bands(points: SharedPoints, fit: PointFit) -> tuple[PointFit, BoolArray]:
     """The ``fit`` with waves, and the views (V,) that surely have one; the same fit, and none, where few have."""
     none = np.zeros(len(fit.k), bool)
+    if not fit.is_known.any():
+        return fit, none
     some = slice(None, None, max(1, points.seen.shape[1] // _SOME_POINTS))
     _, shares = _tried(points, fit, some)
-    if not fit.is_known.any() or np.median(shares[fit.is_known]) < _MIN_FIRST_SHARE:
+    if np.median(shares[fit.is_known]) < _MIN_FIRST_SHARE:
         return fit, none
     waved = deepcopy(fit)
     for _ in range(_ROUNDS):
