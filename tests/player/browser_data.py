@@ -16,7 +16,7 @@ import numpy as np
 
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.header.presentation import Presentation
-from decogs.codec.packets.corrections import CorrectedCameras, Correction, write_corrections
+from decogs.codec.packets.corrections import ALWAYS_LIT, CorrectedCameras, Correction, LampWave, write_corrections
 from decogs.codec.packets.deltas import apply_delta, difference
 from decogs.codec.packets.keyframes import keyframe_state
 from decogs.codec.packets.sound import SoundTrack
@@ -159,7 +159,9 @@ def recording_cameras() -> tuple[Camera, ...]:
 
 def write_recording_stream(path: Path, *, subject: bool = False) -> None:
     """Two frames of a rig whose cameras bend, drift, shake, and have colours and darker borders of their own."""
-    corrected = CorrectedCameras(("barrel", "drifts"), ("drifts",), ("fisheye", "drifts"))
+    corrected = CorrectedCameras(("barrel", "drifts"), ("drifts",), ("fisheye", "drifts"), ("drifts",))
+    cells = LampWave(100.0, 0.016, 2, 2, (900, 700, 500, 300, 0, -400) * 2, (0, 200, 400, 600, 800, 1000) * 2)
+    alike = LampWave(120.0, -0.012, 1, 1, (700, 600, 500), (-300, 0, 300))
     header = StreamHeader(
         cameras=recording_cameras(),
         lattice=default_lattice(2.0),
@@ -170,8 +172,8 @@ def write_recording_stream(path: Path, *, subject: bool = False) -> None:
         corrected=corrected,
         camera_colours={
             "fisheye": Correction(exposure=-600, red=300, blue=-500, falloff=2500),
-            "drifts": Correction(red=200, falloff=3500),
-            "barrel": Correction(falloff=1500),
+            "drifts": Correction(red=200, falloff=3500, lamp=cells),
+            "barrel": Correction(falloff=1500, lamp=alike, lamp_amplitude=ALWAYS_LIT),
         },
         subject=subject,
     )
@@ -181,7 +183,11 @@ def write_recording_stream(path: Path, *, subject: bool = False) -> None:
         for frame in range(2):
             told = {
                 "barrel": Correction(exposure=900 - 1500 * frame),
-                "drifts": Correction(700, -400, 500 * frame, 3000, -2000, 4000 * frame),
+                "drifts": Correction(
+                    *(700, -400, 500 * frame, 3000, -2000, 4000 * frame),
+                    lamp_phase=9000 - 20_000 * frame,
+                    lamp_amplitude=5000,
+                ),
                 "fisheye": Correction(yaw=-5000 * frame, roll=2500),
             }
             packet = write_skip(state) if frame else write_key(state)

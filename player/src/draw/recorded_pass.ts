@@ -8,6 +8,9 @@ import { RECORDED_FRAGMENT_SHADER } from "./recorded_shader";
 /** Pixels between positions that are computed; between them a lens is straight to some thousandths of a pixel. */
 const CELL = 8;
 
+/** No draw is valid while a sampler's unit has a texture of another kind, even if it is not looked at. */
+const NO_LAMPS: LampsNow = { turns: 0, turnsDown: 0, columns: 1, rows: 1, cells: new Float32Array(8) };
+
 export class RecordedPass {
   private readonly program: Program;
   private readonly texture: WebGLTexture;
@@ -48,7 +51,7 @@ export class RecordedPass {
     const drawn = this.seenBy(camera, recording);
     gl.activeTexture(gl.TEXTURE1);
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    if (lamps !== null) this.uploadLamps(lamps);
+    this.uploadLamps(lamps ?? NO_LAMPS);
     gl.activeTexture(gl.TEXTURE0);
     gl.useProgram(program.program);
     gl.uniform1i(program.uniform("accumulated"), 0);
@@ -81,7 +84,7 @@ export class RecordedPass {
     gl.activeTexture(gl.TEXTURE0);
   }
 
-  /** Into unit 2, which stays bound: sine and cosine of a cell beside each other. */
+  /** Into unit 2, where textures of another kind may be bound: sine and cosine of a cell beside each other. */
   private uploadLamps({ columns, rows, cells }: LampsNow): void {
     const { gl } = this;
     gl.activeTexture(gl.TEXTURE2);
