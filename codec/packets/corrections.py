@@ -34,7 +34,7 @@ LAMP_STEP = 2.0**-12
 ``lamp_amplitude``."""
 
 ALWAYS_LIT = 1 << 12
-"""The ``lamp_amplitude`` of a camera of whose lamps no frame tells: their whole strength, at phase 0."""
+"""The ``lamp_amplitude`` of lamps' whole strength: that of a camera of whose lamps no frame tells, at phase 0."""
 
 LARGEST = (1 << 15) - 1
 """Largest magnitude of a number that the encoder writes; a block may hold one below it, the last of 16 bits."""

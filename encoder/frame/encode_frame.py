@@ -256,11 +256,11 @@ def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Pen
 def _steady(context: Context, recorded: RigFrame, memory: CorrectionMemory | None) -> RigFrame:
     """A keyframe's pictures in the mean light of its lamps, and at one instant where the next frame is there."""
     ingest, corrector = context.ingest, context.corrector
-    frame, times = without_lamps(recorded, ingest.rig.fps, corrector, memory), context.row_times()
+    frame, times = without_lamps(recorded, ingest.rate, corrector, memory), context.row_times()
     if not times or is_live(ingest.rig) or frame.index + 1 >= ingest.rig.frame_count:
         return frame
     later = next(ingest.frames(frame.index + 1, frame.index + 2, first=frame.index))
-    later = without_lamps(later, ingest.rig.fps, corrector, memory)
+    later = without_lamps(later, ingest.rate, corrector, memory)
     with side_by_side(context.threads) as each:
         return at_one_instant(frame, later, ingest.views, times, each)
 

@@ -105,7 +105,7 @@ def train_first_frame(
         frame_stage = stage
         if header is None and settings.corrections.are_constant:
             shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
-            colours = find_camera_colours(frame, ingest.rig.fps, ingest.views, settings.corrections, *shared)
+            colours = find_camera_colours(frame, ingest.rate, ingest.views, settings.corrections, *shared)
         if header is None and colours:
             frame = match_colours(frame, ingest.views, colours)
             frame_stage = find_stage(ingest.views, frame)

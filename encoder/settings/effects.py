@@ -52,7 +52,7 @@ class CorrectionSettings(Checked):
     match_colours: bool = False  # constant differences between all cameras, too
     standing_bands: bool = False  # bands of lamps that stand still in their pictures, where the frame rate makes them
     falloff: bool = True  # darker borders of their pictures, where they surely are
-    rolling_shutter: bool = True  # rows that are read one after the other, of cameras whose readout the rig tells
+    rolling_shutter: bool = True  # rows that are read one after the other, where the rig or lamps tell a readout
 
     @property
     def are_constant(self) -> bool:

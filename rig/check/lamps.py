@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.packets.corrections import LAMP_STEP, LARGEST, Correction, LampWave, phase_steps
+from decogs.codec.packets.corrections import ALWAYS_LIT, LAMP_STEP, LARGEST, Correction, LampWave, phase_steps
 from decogs.decoder.cameras.corrections import as_recorded
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import logit
@@ -149,7 +149,7 @@ def without_lamps(pictures: U8, frames: Sequence[int], rate: float, camera: Came
     for number in lit:
         picture, frame = pictures[number], frames[number]
         phase = phase_steps(lamps.phase_at(frame, rate))
-        wave = Correction(lamp_phase=phase, lamp_amplitude=round(1 / LAMP_STEP), lamp=lamps.wave)
+        wave = Correction(lamp_phase=phase, lamp_amplitude=ALWAYS_LIT, lamp=lamps.wave)
         levels = 255 * as_recorded(picture.astype(np.float32) / 255, wave, camera, undo=True)
         steady[number] = np.rint(levels).astype(np.uint8)
     return steady

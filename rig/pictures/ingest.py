@@ -151,6 +151,12 @@ class Ingest:
         return tuple(replace(camera, near=self._near[camera.name]) for camera in self.rig.cameras)
 
     @property
+    def rate(self) -> float | None:
+        """Frames in a second as they were recorded, whatever a stream plays; None where unknown."""
+        rate = self.rig.timeline.rate
+        return None if rate is None else float(rate)
+
+    @property
     def has_mattes(self) -> bool:
         """Whether frames come with alpha."""
         return self._mattes.cuts

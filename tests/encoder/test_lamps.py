@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -17,7 +19,8 @@ from decogs.encoder.input.compensation.agreement import SharedSurface
 from decogs.encoder.input.compensation.lamps import LampView, recorded_at
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import Camera
-from decogs.rig.pictures.ingest import View
+from decogs.formats.rigs import open_rig
+from decogs.rig.pictures.ingest import Ingest, View
 
 ONE = LampWave(100.0, 0.016, 1, 1, (614, 614, 614), (0, 0, 0))
 TWO = LampWave(100.0, -0.02, 2, 2, (800, 600, 400) * 4, (0, 200, -100, 300, 0, 0, -300, 50, 0, 0, 0, 100))
@@ -135,6 +138,13 @@ def test_lamps_are_foretold_from_the_analysis_and_from_what_was_seen_last() -> N
     )
     later = replace(seen, latest={}, index=20)
     assert later.restart() == seen
+
+
+def test_the_rate_is_that_of_the_recording_not_that_at_which_a_stream_plays(moving_rig: Path) -> None:
+    rig = open_rig(moving_rig)
+    slow = replace(rig, fps=10.0, timeline=replace(rig.timeline, rate=Fraction(25)))
+    assert Ingest(slow).rate == 25
+    assert Ingest(replace(slow, timeline=replace(rig.timeline, rate=None))).rate is None
 
 
 def test_constants_are_kept_and_dropped_with_the_cameras_that_have_them() -> None:

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.packets.corrections import (
+    ALWAYS_LIT,
     ANGLE_STEP,
     COLOUR_STEP,
-    LAMP_STEP,
     PHASE_TURNS,
     CorrectedCameras,
     Correction,
@@ -150,7 +150,7 @@ class Corrector:
         latest, index = ({}, 0) if memory is None else (memory.latest, memory.index)
         foretold = {}
         for name, lamp in self._lamps.items():
-            known = latest.get(name, Correction(lamp_amplitude=whole_steps(1.0, LAMP_STEP)))
+            known = latest.get(name, Correction(lamp_amplitude=ALWAYS_LIT))
             before = known.lamp_phase * PHASE_TURNS if name in latest else self._phases.get(name, 0.0)
             later = 0.0 if rate is None else lamp.wave.hertz * (frame - index) / rate
             foretold[name] = replace(known, lamp_phase=phase_steps(before + later))

@@ -20,7 +20,7 @@ from .colour import remove_colours
 from .falloff import falloff_corrections, falloff_of
 from .lamps import LampView, recorded_at
 from .matching import find_colours
-from .point_fit import PointFit, shared_points
+from .point_fit import PointFit, SharedPoints, shared_points
 from .standing_bands import band_corrections, find_bands
 
 
@@ -36,33 +36,26 @@ def find_camera_colours(
 
     ``rate``: frames in a second. ``xyz`` (P, 3): points of the surface, which the views see where ``seen`` (V, P).
     """
-    shades = _shades(frame, rate, views, settings, xyz, seen)
+    hertz = standing_hertz(rate) if settings.standing_bands and not settings.lamps else ()
+    shades: Corrections = {}
+    if settings.falloff or hertz:
+        points = shared_points(views, frame.training, xyz, seen)
+        shades = _shades(views, points, hertz, darkens=settings.falloff)
     if not settings.match_colours:
         return shades
     gains = find_colours(views, match_colours(frame, views, shades).training, xyz, seen)
     return _together(gains, shades)
 
 
-def _shades(
-    frame: RigFrame,
-    rate: float | None,
-    views: Sequence[View],
-    settings: CorrectionSettings,
-    xyz: FloatArray,
-    seen: NDArray[np.bool_],
-) -> Corrections:
-    """Fall-offs and standing bands of the cameras."""
-    hertz = standing_hertz(rate) if settings.standing_bands and not settings.lamps else ()
-    if not (settings.falloff or hertz):
-        return {}
-    points = shared_points(views, frame.training, xyz, seen)
+def _shades(views: Sequence[View], points: SharedPoints, hertz: Sequence[float], *, darkens: bool) -> Corrections:
+    """Fall-offs, if lenses may have some, and bands of lamps whose ``hertz`` let them stand."""
     fit = PointFit(points)
     fit.fit()
     bands: Corrections = {}
     if hertz:
         fit, sure = find_bands(points, fit)
         bands = band_corrections(views, fit, sure, hertz[0])
-    return _together(falloff_corrections(views, falloff_of(fit, points)) if settings.falloff else {}, bands)
+    return _together(falloff_corrections(views, falloff_of(fit, points)) if darkens else {}, bands)
 
 
 def _together(some: Corrections, others: Corrections) -> Corrections:

@@ -14,7 +14,7 @@ from copy import deepcopy
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.packets.corrections import LAMP_STEP, LARGEST, Correction, Corrections, LampWave
+from decogs.codec.packets.corrections import ALWAYS_LIT, LAMP_STEP, LARGEST, Correction, Corrections, LampWave
 from decogs.rig.pictures.ingest import View
 
 from .point_fit import PointFit, SharedPoints
@@ -62,7 +62,7 @@ def band_corrections(views: Sequence[View], fit: PointFit, sure: BoolArray, hert
         assert fit.turns is not None
         sine, cosine = (min(max(round(float(wave[row]) / LAMP_STEP), -LARGEST), LARGEST) for wave in fit.waves)
         wave = LampWave(hertz, float(fit.turns[row]) / hertz, 1, 1, (sine,) * 3, (cosine,) * 3)
-        corrections[views[row].camera.name] = Correction(lamp=wave, lamp_amplitude=round(1 / LAMP_STEP))
+        corrections[views[row].camera.name] = Correction(lamp=wave, lamp_amplitude=ALWAYS_LIT)
     return corrections
 
 
