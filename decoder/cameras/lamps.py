@@ -9,12 +9,13 @@ from decogs.codec.packets.corrections import LAMP_STEP, PHASE_TURNS, Correction,
 from decogs.formats.splats import FloatArray
 
 F64 = NDArray[np.float64]
+Shares = NDArray[np.float32] | NDArray[np.float64]
 
 MOST_LAMP_LIGHT = 8.0
 """Largest factor on a colour's odds, and the inverse of the least."""
 
 
-def lamp_light(correction: Correction, across: F64, down: F64) -> FloatArray:
+def lamp_light(correction: Correction, across: Shares, down: Shares) -> FloatArray:
     """Factors (..., 3) on the odds at points of the recorded picture.
 
     ``across``, ``down``: shares of its width and height from its top left corner, which broadcast together.
@@ -26,16 +27,16 @@ def lamp_light(correction: Correction, across: F64, down: F64) -> FloatArray:
     return np.asarray(np.clip(1 + wave, 1 / MOST_LAMP_LIGHT, MOST_LAMP_LIGHT), np.float32)
 
 
-def lamp_waves(lamp: LampWave, across: F64, down: F64) -> tuple[F64, F64]:
+def lamp_waves(lamp: LampWave, across: Shares, down: Shares) -> tuple[F64, F64]:
     """The lamps' wave (..., 3) at phase 0 and a quarter of a turn later, between which that at any phase lies."""
-    turn = 2 * np.pi * lamp.turns * np.broadcast_to(down, np.broadcast_shapes(across.shape, down.shape))[..., None]
+    turn = 2 * np.pi * lamp.turns * np.broadcast_to(down.astype(np.float64), np.broadcast_shapes(across.shape, down.shape))[..., None]
     sine, cosine = (_between(cells, across, down) for cells in lamp.maps)
     first = sine * np.sin(turn) + cosine * np.cos(turn)
     second = sine * np.cos(turn) - cosine * np.sin(turn)
     return np.asarray(first), np.asarray(second)
 
 
-def _between(cells: F64, across: F64, down: F64) -> F64:
+def _between(cells: F64, across: Shares, down: Shares) -> F64:
     """Values of ``cells`` (rows, columns, 3) at points between their middles, linear; beyond the outermost as there."""
     rows, columns = cells.shape[:2]
     if rows == columns == 1:

@@ -18,8 +18,6 @@ from decogs.formats.splats import FloatArray
 from decogs.rig.parallel import Each
 from decogs.rig.pictures.ingest import RigFrame, View
 
-from .compensation.lamps import recorded_at
-
 _MIN_CHANGE = 6 / 255
 """Of a pixel's colour from frame to frame from which something moves there, above usual noise."""
 _GROWN_PIXELS = 9
@@ -42,7 +40,7 @@ def at_one_instant(
         own = times.get(view.camera.name)
         if own is None or view.camera.name in later.lost:
             return picture, alpha
-        return _at_one_instant(picture, alpha, later.training[number], np.asarray(own.at(recorded_at(view).down)))
+        return _at_one_instant(picture, alpha, later.training[number], np.asarray(own.at(view.recorded_at.down)))
 
     made = list(each(warped, range(len(views))))
     pictures = [picture for picture, _ in made]

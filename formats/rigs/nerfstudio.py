@@ -14,7 +14,7 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -25,6 +25,7 @@ from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..files.unicode_forms import as_it_lies, composed
 from ..pictures.reading import PICTURE_SUFFIXES
+from ..videos.readouts import MAX_READOUT
 from .calibration import calibrated_camera, invert_pose, rigid_pose
 from .fields import Fields, read_json
 from .rig import Rig, assemble_rig
@@ -47,6 +48,9 @@ _MASK = "mask_path"
 """A picture, black where an entry's pixels are left out of training."""
 _CROP = "fisheye_crop_radius"
 """The same, by a circle."""
+
+_READOUT = "rolling_shutter_time"
+"""Of SpectacularAI/3dgs-deblur, whose files are nerfstudio's."""
 
 _SAME_POSE = 1e-6
 """Between poses of one camera, in rotation and in position as a share of the rig's size: float32's digits."""
@@ -95,10 +99,13 @@ def _read_transforms(folder: Path, layout: str, paths: Sequence[Path]) -> Rig:
         source = _source(group)
         pairs.append((_camera(name, group[0].fields, source), source))
     rig = assemble_rig(folder, layout, pairs, paths, resizable=True)
+    shared = {name: group[0].fields for name, group in zip(names, groups, strict=True)}
+    readouts = {name: _readout(fields) for name, fields in shared.items() if _READOUT in fields}
     masks = {name: _masks(group, folder) for name, group in zip(names, groups, strict=True)}
     return replace(
         rig,
-        warnings=(*rig.warnings, *_unused_crop(path, entries)),
+        timeline=rig.timeline.with_readouts(readouts) if rig.timeline.rate else rig.timeline,
+        warnings=(*rig.warnings, *_unused_crop(path, entries), *_unused_readouts(path, rig, readouts)),
         ignore_masks={name: files for name, files in masks.items() if files},
     )
 
@@ -128,6 +135,19 @@ def _masks(group: Sequence[_Entry], folder: Path) -> tuple[Path, ...]:
 def _unused_crop(path: Path, entries: Sequence[_Entry]) -> Iterator[str]:
     if any(_CROP in entry.fields for entry in entries):
         yield f"{path}: {_CROP} is not used; what it excludes is trained on like everything else"
+
+
+def _readout(fields: Fields) -> float:
+    """Seconds from the exposure of the first row to that of the last, as Spectacular AI's tools write it."""
+    seconds = fields.number(_READOUT, 0.0)
+    if not 0 <= seconds <= MAX_READOUT:
+        raise fields.wrong(_READOUT, f"is {seconds:g} s, not between 0 and {MAX_READOUT:g}")
+    return seconds
+
+
+def _unused_readouts(path: Path, rig: Rig, readouts: Mapping[str, float]) -> Iterator[str]:
+    if rig.timeline.rate is None and any(readouts.values()):
+        yield f"{path}: {_READOUT} is not used, as pictures have no frame rate; give videos, or a rig.json with 'fps'"
 
 
 def _group_by_camera(path: Path, entries: Sequence[_Entry]) -> list[list[_Entry]]:

@@ -110,8 +110,19 @@ def assemble_rig(
         tuple(calibration),
         tuple(_warnings(sources)),
         length_unit,
-        timeline=Timeline(recorded_rate(sources, fps)),
+        timeline=_timeline(cameras, sources, fps),
     )
+
+
+def _timeline(cameras: Sequence[Camera], sources: Sequence[FrameSource], stated: float | None) -> Timeline:
+    """Of the recordings' rate, with the readouts that their videos state."""
+    timeline = Timeline(recorded_rate(sources, stated))
+    readouts = {
+        camera.name: source.readout
+        for camera, source in zip(cameras, sources, strict=True)
+        if isinstance(source, VideoSource) and source.readout
+    }
+    return timeline.with_readouts(readouts) if timeline.rate else timeline
 
 
 def recorded_rate(sources: Sequence[FrameSource], stated: float | None) -> Fraction | None:

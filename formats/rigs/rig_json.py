@@ -13,6 +13,7 @@ from typing import cast
 
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
+from ..videos.readouts import MAX_READOUT
 from .calibration import calibrated_camera, rigid_pose
 from .colmap import has_model, model_files, read_points
 from .fields import Fields, read_json
@@ -23,8 +24,6 @@ from .timeline import RigTime, Timeline
 
 LAYOUT = "rig.json"
 CALIBRATION = "rig.json"
-_MAX_READOUT = 0.2
-"""Seconds: sensors take up to a thirtieth, or the slowest ones a tenth."""
 _COEFFICIENTS = {"none": {0}, "opencv": {0, 4, 5, 8}, "fisheye": {4}}
 
 
@@ -67,19 +66,18 @@ def read_rig_json(folder: Path) -> Rig:
         )
     if any(readouts.values()) and rig.timeline.rate is None:
         raise fields.wrong("readout", "is in seconds, but no frame rate is known; state 'fps'")
-    in_frames = {name: rig.timeline.time_of(seconds) for name, seconds in readouts.items() if seconds}
     return replace(
         rig,
         starts=_on_the_rigs_clock(fields, starts, rig.timeline),
-        timeline=replace(rig.timeline, readouts=in_frames),
+        timeline=rig.timeline.with_readouts(readouts) if rig.timeline.rate else rig.timeline,
     )
 
 
 def _readout(record: Fields) -> float:
     """Seconds from the exposure of the picture's first row to that of its last, below 0 where it is read from below."""
     seconds, start = record.number("readout"), record.text("readout_from", "top")
-    if not 0 <= seconds <= _MAX_READOUT:
-        raise record.wrong("readout", f"is {seconds:g} s, not between 0 and {_MAX_READOUT:g}")
+    if not 0 <= seconds <= MAX_READOUT:
+        raise record.wrong("readout", f"is {seconds:g} s, not between 0 and {MAX_READOUT:g}")
     if start not in ("top", "bottom"):
         raise record.wrong("readout_from", f"is {start!r}, neither 'top' nor 'bottom'")
     return seconds if start == "top" else -seconds

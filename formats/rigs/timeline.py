@@ -14,7 +14,7 @@ A stream may be played at another rate than that of its recordings (`Rig.fps`); 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import NewType
 
@@ -79,6 +79,11 @@ class Timeline:
             for name in {**self.clocks, **self.readouts}
         }
         return {name: each for name, each in times.items() if each != RowTimes()}
+
+    def with_readouts(self, seconds: Mapping[str, float]) -> Timeline:
+        """With these cameras' readouts in place of others; 0 takes all rows at once. There must be a ``rate``."""
+        stated = {**self.readouts, **{name: self.time_of(each) for name, each in seconds.items()}}
+        return replace(self, readouts={name: readout for name, readout in stated.items() if readout})
 
     def time_of(self, seconds: float | Fraction) -> RigTime:
         """Seconds in frames of the rig. There must be a ``rate``."""

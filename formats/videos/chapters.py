@@ -70,7 +70,15 @@ def open_recording(path: Path) -> VideoSource:
     count = sum(chapter.frame_count for chapter in chapters)
     warning = f"goes on in {len(files)} more chapter{'s' if len(files) > 1 else ''}, read as one recording"
     warnings = (warning, *first.warnings)
-    return ChapteredVideo(path, **_size(first), frame_count=count, fps=first.fps, warnings=warnings, chapters=chapters)
+    return ChapteredVideo(
+        path,
+        **_size(first),
+        frame_count=count,
+        fps=first.fps,
+        readout=first.readout,
+        warnings=warnings,
+        chapters=chapters,
+    )
 
 
 def continues_another(path: Path) -> bool:

@@ -29,6 +29,7 @@ from ..errors import RigError
 from ..pictures.reading import MAX_PIXELS, Picture
 from ..splats import FloatArray
 from .clean_aperture import NO_EDGES, Edges, edges_of_track
+from .readouts import stated_readout
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -76,7 +77,8 @@ class VideoSource:
     in the track's own unit, (frame_count,) int64, or None if the container has no usable times; ``keyframes``: those of
     frames that decoding can begin with, their numbers where there are no times. ``dropped``: frames that repeat the one
     before. ``edges``: pixels of the decoded frames that are not shown. ``turn``: see ``_turn``, after that.
-    ``warnings``: what shows in its pictures.
+    ``readout``: seconds from the exposure of a picture's first row to that of its last, below 0 where it is read from
+    below, as the camera wrote it, else 0. ``warnings``: what shows in its pictures.
     """
 
     path: Path
@@ -90,6 +92,7 @@ class VideoSource:
     siting: Siting = (True, False)
     edges: Edges = NO_EDGES
     turn: tuple[int, int, int, int] = (1, 0, 0, 1)
+    readout: float = 0.0
     warnings: tuple[str, ...] = ()
 
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
@@ -254,7 +257,8 @@ def open_video(path: Path) -> VideoSource:
         at = [] if times is None else np.searchsorted(times, sorted(listing.dropped)).tolist()
         video = replace(shown, frame_count=count, fps=fps, times=times, keyframes=keyframes, dropped=frozenset(at))
         video.picture(first, 0)
-    return replace(video, warnings=(_warning(colours),) if colours else ())
+        readout = stated_readout(container) * video.turn[3]
+    return replace(video, readout=readout, warnings=(_warning(colours),) if colours else ())
 
 
 def presentation_of(path: Path, first: VideoFrame, track: int = 0) -> VideoSource:

@@ -15,7 +15,7 @@ from decogs.decoder.cameras.lens import undistort_pixels
 from decogs.formats.cameras import Camera
 
 from ..numerics import tukey
-from .registration import CameraPath, find_again
+from .registration import CameraPath, find_again, under_rows_light_of
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -39,11 +39,12 @@ def moves_through(camera: Camera, pictures: U8, path: CameraPath) -> bool:
     if not path.shakes:
         return False
     last = len(pictures) - 1
+    first = pictures[0]
     moments = sorted({round(share * last) for share in _LOOKED_AT} - {0})
+    later = (under_rows_light_of(first, pictures[moment]) for moment in moments)
     return all(
-        _turn_fits(camera, pictures[0], pictures[moment]) < _MIN_FITTING_SHARE
-        and _same_share(pictures[0], pictures[moment]) < _MAX_SAME_SHARE
-        for moment in moments
+        _turn_fits(camera, first, now) < _MIN_FITTING_SHARE and _same_share(first, now) < _MAX_SAME_SHARE
+        for now in later
     )
 
 

@@ -71,7 +71,22 @@ def camera_path(pictures: U8) -> CameraPath:
             transforms[index], displacement[index] = _track(first, now, corners, levels)
             if np.isfinite(displacement[index]):
                 break
+        if displacement[index] >= SHAKE_LIMIT_PIXELS:
+            now = _normalise(under_rows_light_of(pictures[0], pictures[index]))
+            striped = _track(first, now, corners, levels)
+            if striped[1] < SHAKE_LIMIT_PIXELS:
+                transforms[index], displacement[index] = striped
     return CameraPath(displacement, transforms)
+
+
+def under_rows_light_of(first: U8, now: U8) -> U8:
+    """A picture (H, W, 3), with each row as light as most of its pixels were in the first.
+
+    A lamp's stripes over a rolling shutter move, and corners with them.
+    """
+    were, are = (each.astype(np.float32) + 1 for each in (first, now))
+    ratio = np.median(were / are, axis=(1, 2), keepdims=True)
+    return np.asarray(np.clip(are * ratio - 1, 0, 255), np.uint8)
 
 
 def find_again(first: U8, now: U8) -> tuple[F64, F64]:

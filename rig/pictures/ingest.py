@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import cv2
@@ -25,6 +26,7 @@ from decogs.formats.splats import FloatArray
 
 from ..mattes import Cut, Mattes
 from .compositing import over
+from .recorded_at import RecordedAt, recorded_at
 from .recording_digests import digest_of
 
 Picture = NDArray[np.uint8] | NDArray[np.float32]
@@ -63,6 +65,11 @@ class View:
     def recorded(self) -> NDArray[np.bool_] | None:
         """The pixels (H, W) of ``valid``, or None when that is everywhere."""
         return None if self.valid is None else self.valid > 0
+
+    @cached_property
+    def recorded_at(self) -> RecordedAt:
+        """Where its pixels were recorded: 8 bytes each through a bent lens, kept once asked for."""
+        return recorded_at(self.camera, self.pinhole)
 
     @property
     def pixels(self) -> int:

@@ -16,7 +16,7 @@ from decogs.decoder.cameras.corrections import as_recorded
 from decogs.decoder.cameras.lamps import lamp_light
 from decogs.encoder.input.compensation import CorrectionMemory, Corrector
 from decogs.encoder.input.compensation.agreement import SharedSurface
-from decogs.encoder.input.compensation.lamps import LampView, recorded_at
+from decogs.encoder.input.compensation.lamps import LampView
 from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import open_rig
@@ -81,7 +81,7 @@ def test_phase_and_strength_are_found_whatever_moves_or_dims(wave: LampWave, tur
     recorded = as_recorded(shown, truth, camera)
     recorded = recorded + np.random.default_rng(0).normal(0, 1.2 / 255, recorded.shape)
     recorded[20:55, 20:70] = some_picture(9)[:35, :50]
-    lamp = LampView(wave, recorded_at(View(camera, camera, None)), None)
+    lamp = LampView(wave, View(camera, camera, None))
     found = lamp.find(planar(np.clip(recorded, 0, 1)), planar(shown))
     assert abs(found.lamp_phase - truth.lamp_phase) / 65536 * 360 < 2
     assert found.lamp_amplitude == pytest.approx(truth.lamp_amplitude, abs=0.02 * FULL)
@@ -89,7 +89,7 @@ def test_phase_and_strength_are_found_whatever_moves_or_dims(wave: LampWave, tur
 
 def test_over_exposed_and_black_pixels_tell_nothing_and_white_stays() -> None:
     camera, shown = a_camera(), some_picture(3)
-    lamp = LampView(ONE, recorded_at(View(camera, camera, None)), None)
+    lamp = LampView(ONE, View(camera, camera, None))
     white = np.ones((3, 90, 120), np.float32)
     assert lamp.find(white, planar(shown)) == Correction()
     assert lamp.find(planar(shown), 0 * white) == Correction()
@@ -102,7 +102,7 @@ def test_over_exposed_and_black_pixels_tell_nothing_and_white_stays() -> None:
 
 def test_a_lamp_that_is_switched_off_has_no_strength() -> None:
     camera, shown = a_camera(), some_picture(4)
-    lamp = LampView(ONE, recorded_at(View(camera, camera, None)), None)
+    lamp = LampView(ONE, View(camera, camera, None))
     dim = as_recorded(shown, Correction(exposure=-1500), camera)
     assert lamp.find(planar(dim), planar(shown)).lamp_amplitude < 0.03 * FULL
 
@@ -116,9 +116,7 @@ def test_rows_are_those_of_the_recorded_picture_through_a_lens() -> None:
     correction = Correction(lamp_phase=12_000, lamp_amplitude=FULL, lamp=TWO)
     recorded, valid = as_recorded(shown, correction, camera), plan.valid.astype(np.float32)
     view = View(camera, plan.pinhole, valid)
-    left = LampView(TWO, recorded_at(view), valid).undo(planar(plan.apply(recorded)), correction) - planar(
-        plan.apply(shown)
-    )
+    left = LampView(TWO, view).undo(planar(plan.apply(recorded)), correction) - planar(plan.apply(shown))
     # Resampling is not linear in odds; at the border it mixes with nothing.
     inner = cv2.erode(valid, np.ones((7, 7))) > 0
     assert np.abs(left[:, inner]).max() < 0.004

@@ -38,7 +38,7 @@ from ...settings.effects import CorrectionSettings
 from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
 from .benefit import Benefit, on_grid
 from .colour import LogitShift, logit_shift, remove_gain
-from .lamps import LampView, recorded_at
+from .lamps import LampView
 from .shake import angles_of, estimate_turn, undo_turn
 
 __all__ = ["CorrectionMemory", "CorrectionSettings", "Corrector", "corrector_of"]
@@ -106,11 +106,7 @@ class Corrector:
         self._named = [name for name in self._views if self.cameras.of(name)]
         self._has_colours = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
         self._phases = settings.lamp_phases
-        self._lamps = {
-            name: LampView(settings.lamps[name], recorded_at(view), view.valid)
-            for name in self.cameras.lamp_flicker
-            for view in (self._views[name][1],)
-        }
+        self._lamps = {name: LampView(settings.lamps[name], self._views[name][1]) for name in self.cameras.lamp_flicker}
 
     def begin(self, draw: DrawView) -> CorrectionMemory:
         """The memory of a scene's first frame; ``draw``: of the keyframe."""

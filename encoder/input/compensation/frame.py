@@ -18,7 +18,7 @@ from ...stopwatch import Stopwatch
 from . import CorrectionMemory, Corrector, RenderView
 from .colour import remove_colours
 from .falloff import falloff_corrections, falloff_of
-from .lamps import LampView, recorded_at
+from .lamps import LampView
 from .matching import find_colours
 from .point_fit import PointFit, SharedPoints, shared_points
 from .standing_bands import band_corrections, find_bands
@@ -80,7 +80,7 @@ def match_colours(frame: RigFrame, views: Sequence[View], colours: Corrections) 
 def _in_own_colours(picture: FloatArray, colours: Correction, view: View) -> FloatArray:
     """A view's picture in the scene's own colours; the very object where its camera has none of its own."""
     if colours.has_wave and colours.lamp is not None:
-        picture = LampView(colours.lamp, recorded_at(view), view.valid).undo(picture, colours)
+        picture = LampView(colours.lamp, view).undo(picture, colours)
     plain = replace(colours, lamp=None)
     return remove_colours(picture, plain, view.pinhole) if plain.is_coloured else picture
 

@@ -8,7 +8,6 @@ anew in every frame, so that drifting mains need no prediction.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,6 @@ from numpy.typing import NDArray
 from decogs.codec.packets.corrections import LAMP_STEP, Correction, LampWave, phase_steps, whole_steps
 from decogs.decoder.cameras.corrections import apply_gain
 from decogs.decoder.cameras.lamps import MOST_LAMP_LIGHT, lamp_light, lamp_waves
-from decogs.decoder.cameras.lens import distort_pixels
-from decogs.formats.cameras import as_pinhole, is_distorted, ray_slopes
 from decogs.formats.splats import FloatArray, logit
 from decogs.rig.pictures.ingest import View
 
@@ -33,34 +30,12 @@ _MIN_PIXELS = 500
 """Pixels that must be neither dark nor white, in all channels, to tell a phase."""
 
 
-class RecordedAt(NamedTuple):
-    """Where a view's pixels were recorded: shares of the recorded picture's width and height, (H, W) or broadcast."""
-
-    across: F64
-    down: F64
-
-
-def recorded_at(view: View) -> RecordedAt:
-    """Of every pixel of the view's training pictures."""
-    pinhole, camera = view.pinhole, view.camera
-    columns, rows = np.arange(pinhole.width)[None] + 0.5, np.arange(pinhole.height)[:, None] + 0.5
-    if not is_distorted(camera):
-        return RecordedAt(columns / pinhole.width, rows / pinhole.height)
-    x, y = ray_slopes(pinhole, *np.broadcast_arrays(columns, rows))
-    straight = as_pinhole(camera)
-    pixels = np.stack([x * straight.fx + straight.cx, y * straight.fy + straight.cy], axis=-1)
-    u, v = np.moveaxis(distort_pixels(camera, pixels), -1, 0)
-    across, down = (np.clip(np.nan_to_num(at / size), 0, 1) for at, size in ((u, camera.width), (v, camera.height)))
-    return RecordedAt(across, down)
-
-
 @dataclass(frozen=True)
 class LampView:
-    """A view whose pictures lamps change: their ``wave``, and where its pixels were recorded."""
+    """A view whose pictures lamps change, and their ``wave``."""
 
     wave: LampWave
-    at: RecordedAt
-    valid: FloatArray | None
+    view: View
 
     def find(self, recorded: FloatArray, rendered: FloatArray) -> Correction:
         """Phase and strength of the wave in a ``recorded`` picture (3, H, W) of what is ``rendered``; none if unknown.
@@ -68,11 +43,11 @@ class LampView:
         Gauss-Newton on the picture, robust to what moves; what a whole channel does is no lamp's.
         """
         shape = recorded.shape[1:]
-        across, down = (on_grid(np.broadcast_to(share, shape), _GRID_PIXELS) for share in self.at)
+        across, down = (on_grid(np.broadcast_to(share, shape), _GRID_PIXELS) for share in self.view.recorded_at)
         v, s = on_grid(recorded, _GRID_PIXELS), on_grid(rendered, _GRID_PIXELS)
         usable = np.asarray((unclipped(v) & unclipped(s)).all(axis=0))
-        if self.valid is not None:
-            usable &= on_grid(self.valid, _GRID_PIXELS) > 0
+        if self.view.valid is not None:
+            usable &= on_grid(self.view.valid, _GRID_PIXELS) > 0
         if usable.sum() < _MIN_PIXELS:
             return Correction()
         v, s = (picture[:, usable].astype(np.float64) for picture in (v, s))
@@ -82,7 +57,7 @@ class LampView:
 
     def undo(self, picture: FloatArray, correction: Correction) -> FloatArray:
         """The picture (3, H, W) in the lamps' mean light."""
-        light = lamp_light(replace(correction, lamp=self.wave), *self.at)
+        light = lamp_light(replace(correction, lamp=self.wave), *self.view.recorded_at)
         return np.ascontiguousarray(apply_gain(picture.transpose(1, 2, 0), 1 / light).transpose(2, 0, 1))
 
 

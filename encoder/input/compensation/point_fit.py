@@ -19,7 +19,6 @@ from decogs.formats.splats import FloatArray, logit
 from decogs.rig.pictures.ingest import View
 
 from .colour import tukey_weights, unclipped
-from .lamps import recorded_at
 from .matching import colours_at
 
 F64 = NDArray[np.float64]
@@ -211,7 +210,7 @@ def _down(view: View, points: F64) -> F64:
     u, v, z = project(view.pinhole, points)
     inside = in_picture(view.pinhole, u, v, z)
     row, column = (np.where(inside, at, 0).astype(np.int64) for at in (v, u))
-    down = np.broadcast_to(recorded_at(view).down, (view.pinhole.height, view.pinhole.width))
+    down = np.broadcast_to(view.recorded_at.down, (view.pinhole.height, view.pinhole.width))
     return np.where(inside, down[row, column], 0.0)
 
 

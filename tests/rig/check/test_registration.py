@@ -39,6 +39,16 @@ def test_light_does_not_shake(texture: np.ndarray, with_noise: Callable[..., np.
     assert not path.shakes
 
 
+@pytest.mark.parametrize("rows_of_a_stripe", [5, 8, 12])
+def test_stripes_of_lamps_do_not_shake(
+    texture: np.ndarray, with_noise: Callable[..., np.ndarray], rows_of_a_stripe: int
+) -> None:
+    """An LED wall, too fast for the mains' alias: its stripes stand elsewhere in each picture."""
+    phase = 2 * np.pi * np.arange(texture.shape[0]) / rows_of_a_stripe
+    shown = [with_noise(texture * (1 + 0.3 * np.sin(phase + 2 * k))[:, None, None], k) for k in range(4)]
+    assert not camera_path(np.stack(shown)).shakes
+
+
 def test_a_thing_before_most_of_the_picture_is_no_shake(
     texture: np.ndarray, with_noise: Callable[..., np.ndarray]
 ) -> None:
