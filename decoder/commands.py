@@ -65,7 +65,9 @@ def decode_parser() -> Parser:
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder or file to write, - for stdout")
     parser.add_quiet()
     _add_camera(parser.add_argument_group("camera (one of the first four is needed for pictures)"))
-    _add_pictures(parser.add_argument_group("frames and pictures"))
+    pictures = parser.add_argument_group("frames and pictures")
+    _add_pictures(pictures)
+    _add_layer(pictures)
     _add_video(parser.add_argument_group("video"))
     _add_trust(parser.add_argument_group("machine and damage"), threads=True)
     return parser
@@ -165,7 +167,9 @@ def export_parser() -> Parser:
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="the file or files; - for stdout")
     parser.add_quiet()
-    _add_world(parser.add_argument_group("frames and world"))
+    world = parser.add_argument_group("frames and world")
+    _add_world(world)
+    _add_layer(world)
     _add_kind(parser.add_argument_group("kind of file"))
     _add_trust(parser.add_argument_group("machine and damage"))
     return parser
@@ -295,6 +299,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             threads=options.threads,
             strict=options.strict,
             max_memory=options.max_memory,
+            layer=options.layer,
             follow=options.follow,
             idle=DEFAULT_IDLE if options.idle is None else options.idle,
             on_frame=on_frame,
@@ -356,6 +361,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
             subject=options.subject,
             strict=options.strict,
             max_memory=options.max_memory,
+            layer=options.layer,
             on_frame=on_frame,
             on_warning=warn_as(parser),
         )
@@ -436,6 +442,12 @@ def _write_site(options: argparse.Namespace) -> None:
 
 def _add_frames(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
+
+
+def _add_layer(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--layer", metavar="L", help="of a stream in layers: base, or the number of the last one (default: all)"
+    )
 
 
 def _add_trust(parser: argparse._ActionsContainer, *, threads: bool = False) -> None:

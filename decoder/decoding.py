@@ -28,6 +28,7 @@ from .limits import DEFAULT_MAX_MEMORY
 from .output.pictures import PictureSink, holds_sound, open_sink
 from .output.video import VideoSettings
 from .reading.following import DEFAULT_IDLE, GrowingStream, follow_stream
+from .reading.refining import BASE
 from .reading.stream import Stream
 from .rendering.compositing import Ids, static_ids
 from .rendering.layouts import Layout
@@ -68,6 +69,7 @@ def decode(
     threads: int = 0,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
+    layer: str | int | None = None,
     follow: bool = False,
     idle: float = DEFAULT_IDLE,
     layout: Layout | None = None,
@@ -85,10 +87,10 @@ def decode(
     ``subject``: a folder of mattes; only Gaussians in their hull are shown (``decogs.decoder.subject.subject``).
     ``undistorted``: without the rig camera's lens distortion. ``drift_free``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
-    it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
-    show the last good one. ``layout``: a picture of several renderings (``rendering.layouts``). ``video`` says how
-    a video is encoded, and what is heard instead of the stream's own sound. An ``output`` that is an open file takes
-    uncompressed video. ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and
+    it recorded. ``strict``, ``max_memory`` (bytes) and ``layer`` are those of ``open_stream``: without ``strict``,
+    damaged frames show the last good one. ``layout``: a picture of several renderings (``rendering.layouts``).
+    ``video`` says how a video is encoded, and what is heard instead of the stream's own sound. An ``output`` that is an
+    open file takes uncompressed video. ``on_frame(done, all)`` reports progress, ``all`` 0 while nobody knows, and
     ``on_warning(text)`` damage and a video that is not as good as it could be.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
@@ -108,8 +110,12 @@ def decode(
     if follow or not isinstance(stream, (str, os.PathLike)):
         if subject is not None:
             raise UsageError("`subject` needs the whole stream; decode its file when it is complete")
+        if layer not in (None, BASE):
+            raise UsageError(f"`layer` {layer}: layers come behind their frames; decode the file when it is complete")
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
+            if growing.header.layers and layer is None and on_warning is not None:
+                on_warning(f"{growing.name}: the base alone is shown; its layers come behind their frames")
             wanted = _wanted(growing.header, view, camera, move, None, max_memory)
             return _decode_growing(
                 growing,
@@ -122,7 +128,10 @@ def decode(
                 on_frame=on_frame,
                 on_warning=on_warning,
             )
-    with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, every):
+    with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning, layer=layer) as (
+        opened,
+        every,
+    ):
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count, max_memory)
         shown: AnyStream = opened
         if subject is not None:

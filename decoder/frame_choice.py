@@ -28,12 +28,14 @@ def open_chosen(
     strict: bool,
     max_memory: int,
     on_warning: OnWarning | None,
+    layer: str | int | None = None,
 ) -> Iterator[tuple[Stream, range]]:
     """A stream, opened, and which of its frames were asked for; ``on_warning`` is called for damage.
 
     ``frames``: a slice by Python's rules, or a range; None for all. Raises UsageError when the stream has none of them.
     """
-    with open_stream(path, strict=strict, max_memory=max_memory, on_damage=damage_to(on_warning)) as stream:
+    on_damage = damage_to(on_warning)
+    with open_stream(path, strict=strict, max_memory=max_memory, on_damage=on_damage, layer=layer) as stream:
         _warn_of_tail(stream, on_warning)
         yield stream, chosen_frames(stream, frames)
 

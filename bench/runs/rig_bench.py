@@ -115,9 +115,9 @@ class RigBench:
             return settings
         wanted = variant.effects
         if wanted.base == AUTO:
-            # What the scene does not call for cannot wrongly be left out.
-            detected = {decision.effect for decision in self._decisions if decision.detected}
-            wanted = replace(wanted, dropped=wanted.dropped & detected)
+            # What the scene does not call for cannot wrongly be left out; what no analysis decides, frames do.
+            uncalled = {decision.effect for decision in self._decisions if not decision.detected}
+            wanted = replace(wanted, dropped=wanted.dropped - uncalled)
         cameras = [camera.name for camera in self.rig.cameras if camera.name not in self.cameras]
         return with_effects(settings, wanted, cameras, lambda: self._decisions)
 
@@ -268,11 +268,15 @@ class RigBench:
         """
         options, rig, frames = self.options, self.rig, self.frames_of(variant)
         facts: dict[str, Any] = {} if variant.scale == 1 else {"training_scale": variant.scale}
+        settings = self.settings(variant)
+        # A stream's settings do not say what its header's cameras do.
+        off = [name for name in ("falloff", "rolling_shutter") if not getattr(settings.corrections, name)]
+        facts |= {"without": off} if off else {}
         return digest(
             facts
             | {
                 "format": FORMAT,
-                "settings": self.settings(variant).as_document(),
+                "settings": settings.as_document(),
                 "own_keyframe": self._trains_keyframe(variant),
                 "refined": variant.refined,
                 "rig": [self.name, rig.layout, rig.frame_count, [camera.name for camera in rig.cameras]],

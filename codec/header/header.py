@@ -28,6 +28,7 @@ from ..packets.corrections import (
 )
 from ..packets.sound import SoundTrack, read_sound_tracks
 from ..scene.lattice import Lattice, Vector
+from .layer_list import Layer, read_layers
 from .presentation import Presentation, read_presentation
 
 MAX_HEADER_BYTES = 1 << 20
@@ -73,7 +74,8 @@ class StreamHeader:
     how its exposure, red and blue differ from the scene's in every frame, and how its border darkens; ``settings``: the
     encoder's own, for people, never needed for decoding; ``subject``: the scene is a subject without its surroundings,
     its alpha what it covers; ``presentation``: how it wants to be shown; ``sound``: the tracks that are played
-    together, which packets beside the frames hold.
+    together, which packets beside the frames hold; ``layers``: the base and what refines it, none where the frames'
+    packets hold the whole scene.
     """
 
     cameras: tuple[Camera, ...]
@@ -95,6 +97,7 @@ class StreamHeader:
     subject: bool = False
     presentation: Presentation = field(default_factory=Presentation)
     sound: tuple[SoundTrack, ...] = ()
+    layers: tuple[Layer, ...] = ()
 
     @property
     def near_planes(self) -> dict[str, float]:
@@ -123,6 +126,7 @@ class StreamHeader:
             "fps": None if self.fps is None else float(self.fps),
             "held_out": list(self.held_out),
             "lattice": _lattice_document(self.lattice),
+            **({"layers": [layer.as_document() for layer in self.layers]} if self.layers else {}),
             "licence": self.licence,
             **({"presentation": shown} if (shown := self.presentation.as_document()) else {}),
             "settings": dict(self.settings),
@@ -143,6 +147,8 @@ class StreamHeader:
             _refuse("a member of presentation is out of its bounds")
         if read.sound != self.sound:
             _refuse("sound is out of its bounds, or lacks a frame rate of at least 1")
+        if read.layers != self.layers:
+            _refuse("layers are out of their bounds")
         return payload
 
     @staticmethod
@@ -176,6 +182,8 @@ class StreamHeader:
             header = replace(header, presentation=read_presentation(fields.value("presentation"), names))
         if fields.has("sound"):
             header = replace(header, sound=read_sound_tracks(fields.value("sound"), header.fps))
+        if fields.has("layers"):
+            header = replace(header, layers=read_layers(fields.value("layers")))
         if len(set(names)) != len(names):
             _refuse("two cameras have the same name")
         if not set(header.held_out) <= set(names):

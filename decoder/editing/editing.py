@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
+from decogs.codec.header.header import StreamHeader
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.files.outputs import PNG, STREAM, GrowingFile, Output, check_outputs, errors_named, is_device
-from decogs.formats.stream.container import PacketKind, StreamWriter
+from decogs.formats.stream.container import LAYERED_VERSION, PacketKind, StreamWriter
 from decogs.formats.system.callbacks import OnProgress, OnWarning
 
 from ..limits import DEFAULT_MAX_MEMORY
+from .layers import LayerWriter
 from .operations.base import Operation
 from .recipe import read_recipe
 from .take import Frame, Take, open_take
@@ -25,6 +27,9 @@ from .writing import FrameWriter
 MAX_OPERATIONS = 100
 """Of one edit: each of them reads frames through all those before it, one within the other. 300 `grade` of 11 000
 Gaussians keep 500 MB of scenes, 80 `crop` take 3 s a frame, and Python goes no deeper than some 900."""
+
+
+_Writer = TypeVar("_Writer", FrameWriter, LayerWriter)
 
 
 @dataclass(frozen=True)
@@ -112,15 +117,27 @@ class _Shown:
             self._on_frame(done, self.total)
 
 
-def _written(take: Take, file: BinaryIO, shown: _Shown) -> tuple[StreamWriter, FrameWriter]:
-    writer = StreamWriter(file, take.header.to_bytes())
-    frames = FrameWriter(take.header, writer)
+def _written(take: Take, file: BinaryIO, shown: _Shown) -> tuple[StreamWriter, FrameWriter | LayerWriter]:
+    """The take in the file; one of layers is written twice, as its header says what they measure."""
+    if not take.header.layers:
+        return _packets(take, StreamWriter(file, take.header.to_bytes()), FrameWriter, shown)
+    _, measured = _packets(take, StreamWriter(_Nowhere(), b""), LayerWriter, shown)
+    layers = measured.layers(take.header.layers[0].psnr)
+    header = replace(take.header, layers=layers)
+    return _packets(take, StreamWriter(file, header.to_bytes(), LAYERED_VERSION), LayerWriter, shown)
+
+
+def _packets(
+    take: Take, writer: StreamWriter, frame_writer: Callable[[StreamHeader, StreamWriter], _Writer], shown: _Shown
+) -> tuple[StreamWriter, _Writer]:
+    frames = frame_writer(take.header, writer)
     shown.total = take.frame_count
     for frame, sound in zip(take.read(0, take.frame_count), take.hear(0, take.frame_count), strict=True):
         frames.write(frame)
         for packet in sound:
             writer.write(PacketKind.SOUND, frames.frames - 1, packet.payload())
         shown.to(frames.frames)
+    frames.finish()
     writer.finish()
     return writer, frames
 

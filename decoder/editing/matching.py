@@ -37,9 +37,13 @@ def matched(operation: str, first: Take, second: Take) -> Matched:
     """Both takes under the first one's header, with the cameras of both, in the world in which each is shown.
 
     Values of the second are rounded to the first one's lattice where it has another, or another transform. A camera
-    that both have is one; a name that means two cameras gets a number in the second. Raises UsageError where a subject
-    without a background meets a whole scene, and where frame rates differ.
+    that both have is one; a name that means two cameras gets a number in the second. Where one has no layers, neither
+    has any. Raises UsageError where a subject without a background meets a whole scene, and where frame rates differ.
     """
+    in_layers = bool(first.header.layers) and bool(second.header.layers)
+    lost = "" if in_layers or not (first.header.layers or second.header.layers) else "both without layers"
+    if not in_layers:
+        first, second = first.without_layers(), second.without_layers()
     one, other = first.header, second.header
     if one.subject != other.subject:
         raise UsageError(
@@ -69,7 +73,7 @@ def matched(operation: str, first: Take, second: Take) -> Matched:
         replace(header, sh_degree=degree),
         replace(_of_degree(first, degree), sources=sources),
         _of_degree(taken, degree),
-        _cost(changed, similarity),
+        ", ".join(filter(None, (_cost(changed, similarity), lost))),
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from decogs.codec.packets.refinement import LAYER_IDS
 from decogs.codec.scene.morton import morton_order
 from decogs.codec.scene.state import Rows, State, take_rows
 
@@ -22,10 +23,13 @@ _MAX_GAP = 1 << 35
 class IdMap:
     """Ids in the output by ids in the edited take, for the Gaussians of the last frame and of the first keyframe."""
 
-    def __init__(self) -> None:
+    def __init__(self, first: int = 0, *, begins_anew: bool = False) -> None:
+        """``first``: the least id that is given; ``begins_anew``: no Gaussian of the first keyframe keeps its own."""
+        self._range = range(first, first + LAYER_IDS if first else OWN_IDS)
+        self._begins_anew = begins_anew
         self._last = self._first = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._all_own = True
-        self.next_id = 0
+        self.next_id = first
 
     def of(self, state: State, *, is_key: bool, lists_all: bool, is_changed: bool) -> Rows:
         """The output's ids (N,) of a frame's rows; those of a keyframe that are new keep theirs where that can be.
@@ -42,13 +46,14 @@ class IdMap:
         own = state.ids[new]
         kept = np.where(ids < 0, state.ids, ids)
         # As long as nobody has another's id, an own one is nobody else's; otherwise those are that nobody had yet.
-        are_free = bool(((own < OWN_IDS) & (self._all_own | (own >= self.next_id))).all())
+        is_ours = (own >= self._range.start) & (own < self._range.stop)
+        are_free = bool((is_ours & (self._all_own | (own >= self.next_id))).all())
         begins = is_key and not len(self._first[0])
-        anew = begins and is_changed
+        anew = begins and (is_changed or self._begins_anew)
         if is_key and not anew and are_free and _can_be_listed(np.sort(kept) if lists_all else own):
             ids = kept
             # Where another take's Gaussians are in the frame, its next id is theirs.
-            own_next = state.next_id if state.next_id < OWN_IDS else int(kept.max(initial=-1)) + 1
+            own_next = state.next_id if state.next_id < self._range.stop else int(kept.max(initial=-1)) + 1
             self.next_id = max(self.next_id, own_next)
         else:
             # As a delta orders what it adds; the packets behind a keyframe can stay where its rows do.

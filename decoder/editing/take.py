@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
 
+import numpy as np
+
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.corrections import Corrections
-from decogs.codec.scene.state import State, same_scene
+from decogs.codec.packets.keyframes import new_state
+from decogs.codec.scene.state import ARRAYS, Attributes, State, all_rows, part_of, same_scene, take_rows
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.stream.container import Packet, PacketKind
 from decogs.formats.stream.reasons import Reason
@@ -19,6 +22,7 @@ from decogs.formats.system.callbacks import OnWarning
 
 from ..frame_choice import open_chosen
 from ..reading.frame import DecodedFrame
+from ..reading.refining import BASE
 from ..reading.stream import Stream
 from ..sound.packets import FrameSound
 from .names import OWN_IDS
@@ -42,17 +46,22 @@ class Frame:
     """One frame: its scene, under the ids that its source gave, and what cameras did to their pictures.
 
     No two takes of an edit have an id in common; hashes of the state need not fit its ids.
-    ``is_key``: a segment begins here. ``coded``: a packet that may lead here, which saves coding another one.
+    ``is_key``: a segment begins here. ``coded``: a packet that may lead here, which saves coding another one. ``base``:
+    in a take of layers, some of the scene's Gaussians with the values that they have alone.
     """
 
     state: State
     corrections: Corrections
     is_key: bool
     coded: Coded | None = None
+    base: State | None = None
 
     def of(self, state: State) -> Frame:
-        """The same frame of another scene."""
-        return replace(self, state=state)
+        """The same frame of another scene; what of its base is left differs from it as before."""
+        base = self.base
+        if base is not None and not same_scene(self.state, state):
+            base = carried_over(base, self.state, state)
+        return replace(self, state=state, base=base)
 
 
 Read = Callable[[int, int], Iterator[Frame]]
@@ -68,6 +77,18 @@ Note = Callable[[], str]
 def silence(start: int, stop: int) -> Iterator[FrameSound]:
     """No sound in any frame."""
     return repeat((), stop - start)
+
+
+def carried_over(base: State, before: State, after: State) -> State:
+    """What is left of a ``base`` in the whole scene ``after``, as far from its values there as it was ``before``."""
+    stays = np.isin(base.ids, after.ids, assume_unique=True)
+    own = part_of(base, stays)
+    was, now = (take_rows(scene, np.searchsorted(scene.ids, own.ids)) for scene in (before, after))
+    moved = {name: getattr(now, name) - getattr(was, name) for name in ARRAYS}
+    if not any(change.any() for change in moved.values()):
+        return own
+    values = Attributes(**{name: getattr(all_rows(own), name) + moved[name] for name in ARRAYS})
+    return new_state(values, after.frame, ids=own.ids, next_id=own.next_id)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +125,20 @@ class Take:
         """The take with the scene of every frame edited by itself; one that did not change is edited once."""
 
         def read(start: int, stop: int) -> Iterator[Frame]:
-            before = after = None
+            before = after = base = None
             for frame in self.read(start, stop):
                 if before is None or after is None or not same_scene(before, frame.state):
                     after = edit(frame.state)
+                    base = None if frame.base is None else edit(frame.base)
                 before = frame.state
-                yield frame.of(after)
+                yield replace(frame, state=after, base=base)
 
         return replace(self, read=read)
+
+    def without_layers(self) -> Take:
+        """The take with its whole scenes in one layer."""
+        plain = self.each(lambda frame: replace(frame, base=None)) if self.header.layers else self
+        return replace(plain, header=replace(self.header, layers=()))
 
     def each(self, edit: Callable[[Frame], Frame]) -> Take:
         """The take with every frame edited by itself."""
@@ -132,11 +159,19 @@ def open_take(
 
     Raises StreamError, OSError, and UsageError for a stream without a frame.
     """
-    with open_chosen(path, None, strict=False, max_memory=max_memory, on_warning=on_warning) as (stream, every):
+    with ExitStack() as opened:
+
+        def opened_at(layer: str | None, on_warning: OnWarning | None) -> tuple[Stream, range]:
+            return opened.enter_context(
+                open_chosen(path, None, strict=False, max_memory=max_memory, on_warning=on_warning, layer=layer)
+            )
+
+        stream, every = opened_at(None, on_warning)
+        base = opened_at(BASE, None)[0] if stream.header.layers else None
         if on_warning is not None and (lost := stream.unknown_parts()):
             on_warning(f"{path}: holds what this version does not know, which is left out: {', '.join(lost[:_NAMED])}")
         settings = {name: value for name, value in stream.stored_header.settings.items() if name not in _OF_THE_ENCODE}
-        source = _Source(stream, number * OWN_IDS)
+        source = _Source(stream, base, number * OWN_IDS)
         header = replace(stream.stored_header, settings=settings)
         # The first keyframe of a damaged stream may be none that is left.
         starts = (0, *(frame for frame in stream.keyframes if frame))
@@ -145,19 +180,26 @@ def open_take(
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """A stream whose ids are counted from a place of their own, that of no other stream of the edit."""
+    """A stream whose ids are counted from a place of their own, that of no other stream of the edit.
+
+    ``base``: the same stream read up to its base alone, where it has layers.
+    """
 
     stream: Stream
+    base: Stream | None
     first_id: int
 
     def read(self, start: int, stop: int) -> Iterator[Frame]:
         was: DecodedFrame | None = None
         before: State | None = None
+        bases = self._bases(start, stop)
         for frame in self.stream.frames(start, stop):
             same_ids = before if was is not None and was.state.ids is frame.state.ids else None
             after = self._renumbered(frame.state, same_ids)
             is_key = frame.kind == PacketKind.KEY
-            yield Frame(after, frame.corrections, is_key, self._coded(frame, None if is_key else before, after))
+            self._check(frame)
+            coded = self._coded(frame, None if is_key else before, after)
+            yield Frame(after, frame.corrections, is_key, coded, next(bases))
             was, before = frame, after
 
     def _renumbered(self, state: State, same_ids: State | None = None) -> State:
@@ -168,14 +210,22 @@ class _Source:
         ids = state.ids + self.first_id if same_ids is None else same_ids.ids
         return replace(state, ids=ids, next_id=state.next_id + self.first_id)
 
+    def _bases(self, start: int, stop: int) -> Iterator[State | None]:
+        if self.base is None:
+            return repeat(None, stop - start)
+        return (self._renumbered(frame.state) for frame in self.base.frames(start, stop))
+
+    def _check(self, frame: DecodedFrame) -> None:
+        """Raises StreamError for a frame that is damaged, or of which layers are."""
+        lacks_layers = self.base is not None and frame.blocks is None
+        if frame.concealed is not None or lacks_layers:
+            why = "" if frame.concealed is None else f" ({frame.concealed})"
+            message = f"{self.stream.path}: frame {frame.index} is damaged{why}; trim it away"
+            raise StreamError(Reason.MISSING_KEY, message)
+
     def _coded(self, frame: DecodedFrame, before: State | None, after: State) -> Coded | None:
-        """None for a delta from a frame that was not read."""
-        if frame.coded is None:
-            raise StreamError(
-                Reason.MISSING_KEY,
-                f"{self.stream.path}: frame {frame.index} is damaged ({frame.concealed}); trim it away",
-            )
-        if frame.kind != PacketKind.KEY and before is None:
+        """None for a delta from a frame that was not read, and for a frame of layers, to which no one packet leads."""
+        if frame.coded is None or (frame.kind != PacketKind.KEY and before is None):
             return None
         first = self._renumbered(self.stream.first_keyframe()) if frame.refers_to_first else None
         return Coded(frame.coded, before, after, first)

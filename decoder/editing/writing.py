@@ -30,18 +30,26 @@ class FrameWriter:
     """Writes frames as packets of a stream with this header, which ``sink`` has already.
 
     ``frames`` counts them, ``kept`` those whose packet was taken as it was read, but for its digest and ids.
-    ``is_empty``: whether no frame has any Gaussian.
+    ``is_empty``: whether no frame has any Gaussian; ``is_skipped``: whether the last one's packet says that nothing
+    changes.
     """
 
-    def __init__(self, header: StreamHeader, sink: PacketSink) -> None:
+    def __init__(self, header: StreamHeader, sink: PacketSink, names: IdMap | None = None) -> None:
         self._header, self._sink = header, sink
-        self._names = IdMap()
+        self._names = IdMap() if names is None else names
         self._state: State | None = None
         self._first: State | None = None
         self._source_state: State | None = None  # a source's state whose rows are those of _state, one by one
         self._first_source_state: State | None = None
         self.frames = self.kept = 0
-        self.is_empty = True
+        self.is_empty, self.is_skipped = True, False
+        self.order: Rows = np.zeros(0, np.int64)
+
+    @property
+    def state(self) -> State:
+        """The scene of the last frame, as it was written; its rows are those of that frame in their ``order``."""
+        assert self._state is not None
+        return self._state
 
     def write(self, frame: Frame) -> None:
         """Appends a frame; the first one is a keyframe whatever it was. Raises StreamError for what no packet holds."""
@@ -53,6 +61,7 @@ class FrameWriter:
             is_changed=frame.coded is not None and not same_scene(frame.coded.after, frame.state),
         )
         in_order = bool((ids[1:] > ids[:-1]).all())
+        self.order = np.arange(len(ids)) if in_order else np.argsort(ids)
         after = _with_ids(frame.state, ids, self._names.next_id, in_order, self.frames)
         body = self._as_it_was(frame, after, is_key) if in_order else None
         self.kept += body is not None
@@ -60,6 +69,7 @@ class FrameWriter:
             kind = frame.coded.packet.kind
         else:
             kind, body, after = self._coded_anew(after, is_key)
+        self.is_skipped = kind == PacketKind.SKIP
         block = write_corrections(frame.corrections, self._header.corrected)
         self._sink.write(kind, self.frames, block + body)
         self._state, self._source_state = after, frame.state if in_order else None
@@ -67,6 +77,9 @@ class FrameWriter:
             self._first, self._first_source_state = self._state, self._source_state
         self.frames += 1
         self.is_empty = self.is_empty and not len(after)
+
+    def finish(self) -> None:
+        """Nothing is held back."""
 
     def _as_it_was(self, frame: Frame, after: State, is_key: bool) -> bytes | None:
         """The body of the frame's own packet, with other ids if need be; None where it would say something else."""

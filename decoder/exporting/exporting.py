@@ -97,6 +97,7 @@ def export(
     subject: str | os.PathLike[str] | None = None,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
+    layer: str | int | None = None,
     on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> ExportReport:
@@ -111,7 +112,7 @@ def export(
     3 or 4. ``prim``: how USD shows Gaussians: "instancer" (default), "splat" or
     "both". ``velocities``: USD's instancers get them, in world units a second, for programs that blur by them.
     ``subject``: a folder of mattes; only Gaussians in their hull are written (``decogs.decoder.subject.subject``).
-    ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice, and
+    ``strict``, ``max_memory`` (bytes) and ``layer`` are those of ``open_stream``. The frames are read twice, and
     ``on_frame(done, all)`` counts both readings; ``on_warning(text)`` is called for damage and for losses of the
     format.
 
@@ -138,7 +139,10 @@ def export(
     plan = _Plan(
         target, suffix, up, first_frame, fps, scale_to_metres, spz_version, flavour, velocities, on_frame, on_warning
     )
-    with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
+    with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning, layer=layer) as (
+        opened,
+        chosen,
+    ):
         if not 0 <= first_frame <= _LAST_NUMBER - chosen.stop:
             raise UsageError(f"`first_frame` {first_frame}: give a number from 0 on")
         numbers = [first_frame + frame for frame in chosen]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.header.header import StreamHeader
+from decogs.codec.layers import LayeredScene, same_blocks, union_of
 from decogs.codec.packets.deltas import Changes, Delta
 from decogs.codec.packets.frame_payload import FramePayload
 from decogs.codec.packets.syntax import payload_costs
@@ -43,11 +44,12 @@ class _Activation:
 class DecodedFrame:
     """One frame of a stream: what its packet says and the scene after it.
 
-    ``index`` counts frames from 0; ``kind`` is KEY, DELTA or SKIP; ``packet_bytes`` are its bytes on disk, container
-    overhead included; ``state`` is the scene as lattice integers with ids, checked against the encoder's digest;
-    ``corrections`` are those of the cameras that the header names: how their pictures differ from the scene;
-    ``changes`` how many Gaussians the frame touched, added and removed. A keyframe adds all of them, unless it refers
-    to the first one, against which it then counts.
+    ``index`` counts frames from 0; ``kind`` is KEY, DELTA or SKIP, which keeps all layers as they are; ``packet_bytes``
+    are its bytes on disk, container overhead included; ``state`` is the scene as lattice integers with ids, checked
+    against the encoder's digest; ``corrections`` are those of the cameras that the header names: how their pictures
+    differ from the scene; ``changes`` how many Gaussians the frame touched, added and removed. A keyframe adds all of
+    them, unless it refers to the first one, against which it then counts. ``blocks``: of a stream in layers, those that
+    the scene consists of, the base's Gaussians first; None where one packet leads to the scene.
 
     ``concealed`` is None, unless the frame could not be reconstructed: then it is what is wrong, ``kind`` is None,
     ``packet_bytes`` 0, and the scene that of the last good frame.
@@ -60,11 +62,16 @@ class DecodedFrame:
         header: StreamHeader,
         before: DecodedFrame | None,
         first: State | None = None,
+        blocks: tuple[State, ...] | None = None,
+        refinement_bytes: int = 0,
     ) -> None:
         packet = payload.body
+        self.blocks, self._refinement_bytes = blocks, refinement_bytes
         self.index = packet.frame
         self.kind: PacketKind | None = PacketKind(packet.kind)
-        self.packet_bytes = packet.size
+        if refinement_bytes and self.kind == PacketKind.SKIP:
+            self.kind = PacketKind.DELTA
+        self.packet_bytes = packet.size + refinement_bytes
         self.concealed: Damage | None = None
         self.corrections = payload.corrections
         self._payload: FramePayload | None = payload
@@ -72,8 +79,8 @@ class DecodedFrame:
         self._coefficients = header.coefficients
         self._state_before = None if before is None else before.state
         base = first if payload.refers_to_first else self._state_before
-        self._population_before = None if base is None else len(base)
-        unchanged = before is not None and self.kind == PacketKind.SKIP
+        self._population_before = None if base is None or blocks is not None else len(base)
+        unchanged = before is not None and same_scene(before.state, self.state)
         self._activation: _Activation = before._activation if before and unchanged else _Activation(self.state, header)
 
     def held(self, index: int, damage: Damage) -> DecodedFrame:
@@ -113,15 +120,19 @@ class DecodedFrame:
 
     @property
     def coded(self) -> Packet | None:
-        """Its packet as it is read from behind the corrections on; None when it is concealed."""
-        return None if self._payload is None else self._payload.body
+        """Its packet as it is read from behind the corrections on; None when it is concealed, or one of several."""
+        return None if self._payload is None or self.blocks is not None else self._payload.body
 
     @property
     def costs(self) -> dict[str, int]:
-        """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads")."""
+        """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads").
+
+        "refinement": of the layers above the base, whose packets are not split further.
+        """
         if self._payload is None:
             return {}
-        return payload_costs(self._payload.body, self._coefficients, self._population_before)
+        costs = payload_costs(self._payload.body, self._coefficients, self._population_before)
+        return costs | {"refinement": self._refinement_bytes} if self._refinement_bytes else costs
 
     def delta_from(self, state: State) -> Delta | None:
         """What this frame changed of ``state``; None unless it is a delta to that scene."""
@@ -141,3 +152,13 @@ def decode_frame(
     state = None if before is None else before.state
     reconstruction = reconstruct_frame(state, payload, header, first=first, max_gaussians=max_gaussians)
     return DecodedFrame(payload, reconstruction, header, before, first)
+
+
+def layered_frame(
+    payload: FramePayload, scene: LayeredScene, size: int, before: DecodedFrame | None, header: StreamHeader
+) -> DecodedFrame:
+    """The frame of a ``scene`` in layers, whose refinements have ``size`` bytes on disk."""
+    is_same = before is not None and before.blocks is not None and same_blocks(before.blocks, scene.blocks)
+    state = replace(before.state, frame=payload.body.frame) if before and is_same else union_of(scene.blocks)
+    reconstruction = Reconstruction(state, scene.changes)
+    return DecodedFrame(payload, reconstruction, header, before, blocks=scene.blocks, refinement_bytes=size)

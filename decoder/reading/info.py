@@ -191,6 +191,7 @@ class StreamInfo:
                 "background": list(header.background),
                 "effects": list(header.effects),
                 "subject": header.subject,
+                "layers": [layer.as_document() for layer in header.layers],
                 "presentation": header.presentation.as_document(),
                 "sound": [sound.to_json() for sound in self.sounds],
                 "lattice": {name: _plain(value) for name, value in vars(header.lattice).items()},

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.layer_list import Layer
 from decogs.codec.packets.sound import RATE
 from decogs.formats.cli.command_line import printable, size_text
 
@@ -32,6 +33,8 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
         yield f"{name.replace('_', ' '):<12} {printable(str(value))}"
     for sound in facts.sounds:
         yield f"sound        {printable(_sound(sound))}"
+    for number, layer in enumerate(header.layers):
+        yield f"layer        {_layer(number, layer)}"
     if header.subject:
         yield "subject      without a background, with alpha"
     yield f"colour       SH degree {header.sh_degree}, background {','.join(f'{c:g}' for c in header.background)}"
@@ -66,6 +69,12 @@ def _sound(sound: SoundInfo) -> str:
     title = f"{track.title}: " if track.title else ""
     channels = ("mono", "stereo")[track.channels - 1]
     return f"{title}Opus, {channels}, {RATE} Hz, {sound.seconds:.2f} s, {size_text(sound.bytes)}{position}"
+
+
+def _layer(number: int, layer: Layer) -> str:
+    name = "base" if number == 0 else f"{number}, with those below"
+    likeness = "" if layer.psnr is None else f", {layer.psnr:.1f} dB of the whole"
+    return f"{name}: up to {layer.gaussians} Gaussians, {size_text(round(layer.bytes_per_frame))} a frame{likeness}"
 
 
 def _coded_effects(name: str, header: StreamHeader) -> str:

@@ -11,10 +11,10 @@ from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 from decogs.codec.header.header import StreamHeader, unknown_members
-from decogs.codec.packets.frame_payload import split_payload
+from decogs.codec.packets.frame_payload import FramePayload, split_payload
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS, State
 from decogs.formats.errors import StreamError, UsageError
@@ -39,8 +39,9 @@ from decogs.formats.stream.survey import Survey, search, survey
 from ..limits import DEFAULT_MAX_MEMORY, frames_within, gaussians_within, limits_explained, payload_within
 from ..sound.packets import FrameSound, sound_behind
 from .damage import Concealment, Damage, OnDamage, errors_name
-from .frame import DecodedFrame, decode_frame
+from .frame import DecodedFrame, decode_frame, layered_frame
 from .packets import WRONG_INDEX, FileFrom, FramePackets
+from .refining import Refiner, layer_number, lost_refinement
 
 
 class Stream:
@@ -60,6 +61,7 @@ class Stream:
         on_damage: OnDamage | None,
         max_gaussians: int,
         max_memory: int,
+        layer: str | int | None,
     ) -> None:
         self.path = path
         self._concealment = Concealment(path, strict=strict, on_damage=on_damage)
@@ -82,6 +84,9 @@ class Stream:
             self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, max_gaussians)
             self._limits |= {self._max_gaussians} - {max_gaussians}
             self._first: State | None = None
+            top = layer_number(layer, self.header)
+            self._refiner = Refiner(self._file, self.header, top, lambda: self._survey, max_payload=self._max_payload)
+            self._first_layers: tuple[State, ...] = ()
         for error in self._survey.harmless():
             self._concealment.report(Damage(error))
 
@@ -205,7 +210,45 @@ class Stream:
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
         payload = split_payload(packet, self.header.corrected)
         first = self.first_keyframe() if payload.refers_to_first else None
+        if self._refiner.top:
+            refined = self._refined(payload, before)
+            if refined is not None:
+                return refined
+            if before is not None and before.blocks is not None:
+                before = self._base_of(before.index)
         return decode_frame(payload, before, self.header, first=first, max_gaussians=self._max_gaussians)
+
+    def _refined(self, payload: FramePayload, before: DecodedFrame | None) -> DecodedFrame | None:
+        """The frame with the layers that were asked for; None where one is damaged, up to the next keyframe."""
+        frame, is_key = payload.body.frame, payload.body.kind == PacketKind.KEY
+        blocks = None if before is None or is_key else before.blocks
+        if blocks is None and not is_key:
+            return None
+        try:
+            scene = self._refiner.refined(payload.body, blocks, self._first_blocks, self._max_gaussians)
+            return layered_frame(payload, scene, self._refiner.bytes_of(frame), before, self.header)
+        except StreamError as error:
+            if not self._concealment.allows(error):
+                raise
+            self._concealment.report(Damage(lost_refinement(error, frame)))
+            return None
+
+    def _base_of(self, frame: int) -> DecodedFrame:
+        """A frame of the base alone, which frames in layers do not keep."""
+        packets, shown = self._packets(), cast("DecodedFrame | None", None)
+        for index in range(self._survey.keyframe_before(frame + 1) or 0, frame + 1):
+            payload = split_payload(self._packet(index, packets), self.header.corrected)
+            first = self.first_keyframe() if payload.refers_to_first else None
+            shown = decode_frame(payload, shown, self.header, first=first, max_gaussians=self._max_gaussians)
+        assert shown is not None
+        return shown
+
+    def _first_blocks(self) -> tuple[State, ...]:
+        """Each layer's own Gaussians in the first keyframe."""
+        if not self._first_layers:
+            above = self._refiner.own_blocks(0, self._max_gaussians)
+            self._first_layers = (self.first_keyframe(), *above)
+        return self._first_layers
 
     def first_keyframe(self) -> State:
         """The state that later keyframes refer to; kept from the first time it is asked for."""
@@ -314,6 +357,7 @@ def open_stream(
     on_damage: OnDamage | None = None,
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS,
     max_memory: int = DEFAULT_MAX_MEMORY,
+    layer: str | int | None = None,
 ) -> Stream:
     """Opens a .dgs file; reads its header and where its frames lie, not the frames.
 
@@ -323,7 +367,8 @@ def open_stream(
     reader can conceal is an error all the same: a damaged header, another version, a limit.
 
     ``max_memory`` bounds in bytes what decoding a stream can take beyond the program itself and up to 60 MB for the
-    text of its header, ``max_gaussians`` its scene.
+    text of its header, ``max_gaussians`` its scene. ``layer``: the top one that is decoded, "base", its number or "all"
+    (None).
 
     Raises StreamError for what is no readable stream, OSError when the file cannot be read.
     """
@@ -333,6 +378,7 @@ def open_stream(
         on_damage=on_damage,
         max_gaussians=max_gaussians,
         max_memory=max_memory,
+        layer=layer,
     )
 
 

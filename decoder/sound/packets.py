@@ -29,7 +29,7 @@ def sound_behind(
     try:
         while looked_at < MAX_PACKETS and (end is None or reader.offset < end):
             packet = reader.next()
-            if packet is None or packet.kind in FRAME_KINDS:
+            if packet is None or packet.kind in FRAME_KINDS or packet.kind == PacketKind.REFINE:
                 break
             if packet.kind == PacketKind.SOUND and packet.frame == frame:
                 looked_at += 1

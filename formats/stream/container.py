@@ -24,6 +24,9 @@ SIGNATURE = b"\x8bDGS\r\n\x1a\n"
 VERSION = (1, 0)
 """Version of the bitstream (major, minor), independent of the package's version."""
 
+LAYERED_VERSION = (1, 1)
+"""That of streams with layers; writers write the lowest that suffices."""
+
 SYNC = b"DGSP"
 PROLOGUE_SIZE = 16
 PACKET_HEADER_SIZE = 20
@@ -57,11 +60,15 @@ class PacketKind(IntEnum):
     END = 6
     METRICS = 7
     SOUND = 8
+    REFINE = 9
+    LAYERS = 10
 
 
 CRITICAL_KINDS = frozenset({PacketKind.HEADER, PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP})
 FRAME_KINDS = frozenset({PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP})
 _KNOWN_KINDS = frozenset(int(kind) for kind in PacketKind)
+_KINDS_OF_1_0 = frozenset(kind for kind in _KNOWN_KINDS if kind < PacketKind.REFINE)
+"""A critical packet of any other kind is one that readers of 1.0 do not know."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +102,7 @@ class Packet:
 
 @dataclass(frozen=True, slots=True)
 class IndexEntry:
-    """Where the packet of one frame starts in the stream."""
+    """Where the packet of one frame starts in the stream; of a refinement, ``kind`` is its layer."""
 
     offset: int
     frame: int
@@ -126,17 +133,18 @@ class StreamWriter:
     Whatever was written before an interruption is a valid, shorter stream. ``finish`` adds the index and end packets.
     """
 
-    def __init__(self, file: BinaryIO, header_payload: bytes) -> None:
+    def __init__(self, file: BinaryIO, header_payload: bytes, version: tuple[int, int] = VERSION) -> None:
         self._file = file
         self.bytes_written = 0
         self.entries: list[IndexEntry] = []
-        self._append(prologue() + packet_bytes(PacketKind.HEADER, 0, header_payload))
+        self.refinements: list[IndexEntry] = []
+        self._append(prologue(version) + packet_bytes(PacketKind.HEADER, 0, header_payload))
 
     @classmethod
     def continuing(cls, file: BinaryIO, entries: Sequence[IndexEntry], size: int) -> StreamWriter:
         """Goes on with a stream of ``size`` bytes whose frames are ``entries``; the file stands behind its last one."""
         writer = cls.__new__(cls)
-        writer._file, writer.entries, writer.bytes_written = file, list(entries), size
+        writer._file, writer.entries, writer.bytes_written, writer.refinements = file, list(entries), size, []
         return writer
 
     def write(self, kind: int, frame: int, payload: bytes, *, critical: bool | None = None) -> int:
@@ -144,6 +152,8 @@ class StreamWriter:
         data = packet_bytes(kind, frame, payload, critical=critical)
         if kind in FRAME_KINDS:
             self.entries.append(IndexEntry(self.bytes_written, frame, kind))
+        elif kind == PacketKind.REFINE:
+            self.refinements.append(IndexEntry(self.bytes_written, frame, payload[0]))
         self._append(data)
         return len(data)
 
@@ -151,6 +161,8 @@ class StreamWriter:
         """Appends the index of the frames and the end packet; the file stays open."""
         index_offset = self.bytes_written
         self.write(PacketKind.INDEX, 0, index_payload(self.entries))
+        if self.refinements:
+            self.write(PacketKind.LAYERS, 0, index_payload(self.refinements))
         self.write(PacketKind.END, 0, _END.pack(len(self.entries), index_offset))
 
     def _append(self, data: bytes) -> None:
@@ -279,7 +291,7 @@ class PacketReader:
         if flags & ~CRITICAL or reserved or frame > MAX_FRAME:
             self._fail(Reason.RESERVED_BITS, "reserved bits are set in the packet header")
         critical = bool(flags & CRITICAL)
-        if kind not in _KNOWN_KINDS:
+        if kind not in _KINDS_OF_1_0:
             if critical:
                 self._fail(Reason.UNKNOWN_CRITICAL, f"packet kind {kind} is unknown and must not be ignored")
         elif critical != (kind in CRITICAL_KINDS):
@@ -375,7 +387,7 @@ def read_packet_at(file: BinaryIO, entry: IndexEntry, *, max_payload: int = MAX_
 
 
 def index_payload(entries: list[IndexEntry]) -> bytes:
-    """Payload of an index packet: count, then offset, frame and kind of each frame packet."""
+    """Payload of an index packet, or of one of layers: count, then offset, frame and kind or layer of each packet."""
     rows = [_INDEX_ENTRY.pack(entry.offset, entry.frame, entry.kind) for entry in entries]
     return _CRC.pack(len(rows)) + b"".join(rows)
 
@@ -442,6 +454,23 @@ def scan_index(file: BinaryIO, *, max_frames: int = MAX_FRAME) -> list[IndexEntr
                 raise StreamError(Reason.TOO_LARGE, f"more frames than the limit of {max_frames}", offset=offset)
         offset += PACKET_OVERHEAD + length
         ordinal += 1
+    return entries
+
+
+def refinements_between(file: BinaryIO, start: int, stop: int | None) -> list[IndexEntry]:
+    """Where the REFINE packets of a seekable file lie from the packet at ``start`` up to the next frame's, or ``stop``.
+
+    Payloads are not read, but for the layer. Stops at an incomplete tail; raises StreamError at damage.
+    """
+    size, offset, entries = file.seek(0, os.SEEK_END), start, list[IndexEntry]()
+    stop = size if stop is None else min(stop, size)
+    while offset + PACKET_OVERHEAD <= stop:
+        kind, frame, length = _header_at(file, offset)
+        if kind in FRAME_KINDS or offset + PACKET_OVERHEAD + length > stop:
+            break
+        if kind == PacketKind.REFINE and length:
+            entries.append(IndexEntry(offset, frame, file.read(1)[0]))
+        offset += PACKET_OVERHEAD + length
     return entries
 
 

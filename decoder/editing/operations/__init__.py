@@ -12,6 +12,7 @@ from .clean import Clean
 from .concat import Concat
 from .crop import Crop
 from .grade import Grade
+from .layer import MakeLayers
 from .merge import Merge
 from .retime import Retime
 from .set import Set
@@ -32,6 +33,7 @@ _ALL: tuple[type[Operation], ...] = (
     Set,
     Audio,
     Strip,
+    MakeLayers,
 )
 
 OPERATIONS = {operation.name: operation for operation in _ALL}

@@ -38,12 +38,13 @@ class Merge(Operation):
         count = min(take.frame_count, both.second.frame_count)
 
         def read(start: int, stop: int) -> Iterator[Frame]:
-            before: tuple[State, State, State] | None = None
+            before: tuple[State, State, State, State | None] | None = None
             for one, other in zip(both.first.read(start, stop), both.second.read(start, stop), strict=True):
                 if before is None or not (same_scene(before[0], one.state) and same_scene(before[1], other.state)):
-                    before = one.state, other.state, _together(one.state, other.state)
+                    base = None if one.base is None or other.base is None else _together(one.base, other.base)
+                    before = one.state, other.state, _together(one.state, other.state), base
                 corrections: Corrections = {**other.corrections, **one.corrections}
-                yield replace(one, state=before[2], corrections=corrections)
+                yield replace(one, state=before[2], base=before[3], corrections=corrections)
 
         def hear(start: int, stop: int) -> Iterator[FrameSound]:
             others = renumbered(both.second.hear, len(take.header.sound))

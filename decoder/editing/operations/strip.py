@@ -12,7 +12,7 @@ from ..cameras import renamed_corrections, with_cameras
 from ..take import Take, silence
 from .base import Opener, Operation
 
-PARTS = ("provenance", "rig", "sound")
+PARTS = ("provenance", "rig", "sound", "layers")
 _ONLY_CAMERA = "view"
 
 
@@ -22,12 +22,12 @@ class Strip(Operation):
     called, which is their files' names; the licence stays.
 
     "rig" is all cameras but the one to begin with, since a stream has at least one; that is called "view". "sound" is
-    all tracks.
+    all tracks. "layers": all Gaussians are in one.
     """
 
     parts: tuple[str, ...]
     name = "strip"
-    summary = "leave out provenance (settings, source, writer, names of tracks), the rig's cameras, or sound"
+    summary = "leave out provenance (settings, source, writer, names of tracks), the rig's cameras, sound, or layers"
 
     def edit(self, take: Take, open_other: Opener) -> Take:
         """The same frames, less told of them. Raises UsageError for an unknown part."""
@@ -41,6 +41,8 @@ class Strip(Operation):
             take = _with_one_camera(take)
         if "sound" in self.parts:
             take = replace(take, header=replace(take.header, sound=()), hear=silence)
+        if "layers" in self.parts:
+            take = take.without_layers()
         return take.with_note(f"strip: {', '.join(self.parts)}")
 
     @staticmethod

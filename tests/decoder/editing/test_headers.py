@@ -161,14 +161,14 @@ def test_what_a_later_version_says_is_named_where_it_is_left_out(corrected_strea
                 writer = StreamWriter(file, json.dumps(header).encode())
             elif packet.kind in FRAME_KINDS:
                 writer.write(packet.kind, packet.frame, packet.payload)
-        writer.write(9, 1, b"later", critical=False)
+        writer.write(11, 1, b"later", critical=False)
         writer.write(200, 1, b"private", critical=False)
         writer.finish()
     said: list[str] = []
     edit(later, tmp_path / "out.dgs", [Set(licence="mine")], on_warning=said.append)
     assert said == [
         f"{later}: holds what this version does not know, which is left out: cameras[1].rolling_shutter, invented, "
-        "presentation.chapters, packets of kind 9, packets of kind 200"
+        "presentation.chapters, packets of kind 11, packets of kind 200"
     ]
     said.clear()
     edit(corrected_stream, tmp_path / "out.dgs", [Set(licence="mine")], on_warning=said.append)

@@ -1,0 +1,117 @@
+"""The layers above a stream's base: where their packets lie, and a frame with all that they add."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import BinaryIO
+
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.layers import LayeredScene, refine
+from decogs.codec.packets.frame_payload import FramePayload
+from decogs.codec.packets.refinement import Refinement, read_refinement
+from decogs.codec.packets.syntax import refers_to_first
+from decogs.codec.reconstruct import reconstruct_frame
+from decogs.codec.scene.state import State
+from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.stream.container import (
+    IndexEntry,
+    Packet,
+    PacketKind,
+    end_of_packet,
+    read_packet_at,
+    refinements_between,
+)
+from decogs.formats.stream.reasons import Reason
+from decogs.formats.stream.survey import Survey
+
+_UNKNOWN = 0
+"""Stands for a layer that the stream has not."""
+ALL, BASE = "all", "base"
+"""Names of layers; others are numbers from 0, the base, on."""
+
+
+def layer_number(name: str | int | None, header: StreamHeader) -> int:
+    """The top layer that is asked for, as a number. Raises UsageError for one that the stream has not."""
+    top = max(0, len(header.layers) - 1)
+    if name in (None, ALL):
+        return top
+    number = {BASE: 0}.get(str(name), int(name) if str(name).isdecimal() else -1)
+    if not 0 <= number <= top:
+        there = f"it has {BASE}, {', '.join(map(str, range(1, top + 1)))}" if top else "it has one layer"
+        raise UsageError(f"`layer` {name}: the stream has no such layer; {there}")
+    return number
+
+
+class Refiner:
+    """Makes frames whole up to the layer ``top``; where packets lie is looked for a segment at a time."""
+
+    def __init__(
+        self, file: BinaryIO, header: StreamHeader, top: int, survey: Callable[[], Survey], *, max_payload: int
+    ) -> None:
+        self._file, self._header, self.top, self._survey = file, header, top, survey
+        self._max_payload = max_payload
+        self._segment, self._lies = range(0), dict[tuple[int, int], IndexEntry]()
+
+    def refined(
+        self,
+        base: Packet,
+        before: Sequence[State] | None,
+        first: Callable[[], Sequence[State]],
+        max_gaussians: int,
+    ) -> LayeredScene:
+        """The frame of a ``base`` packet. ``before``: the blocks of the one before, None at a keyframe.
+
+        ``first``: each layer's Gaussians in the first keyframe, asked for where a keyframe refers to it. Raises
+        StreamError.
+        """
+        refinements = [self._refinement(base.frame, layer) for layer in range(1, self.top + 1)]
+        blocks = [base, *(each.block for each in refinements if each is not None)]
+        known = first() if any(map(refers_to_first, blocks)) else ()
+        return refine(before, base, refinements, self._header, first=known, max_gaussians=max_gaussians)
+
+    def own_blocks(self, keyframe: int, max_gaussians: int) -> list[State]:
+        """The layers' own Gaussians above the base in a keyframe that does not refer to another. Raises StreamError."""
+        refinements = [self._refinement(keyframe, layer) for layer in range(1, self.top + 1)]
+        return [
+            reconstruct_frame(None, FramePayload({}, each.block), self._header, max_gaussians=max_gaussians).state
+            for each in refinements
+            if each is not None
+        ]
+
+    def bytes_of(self, frame: int) -> int:
+        """Of the frame's refinements up to the top layer, on disk."""
+        lies = self._lies_of(frame)
+        entries = [lies[frame, layer] for layer in range(1, self.top + 1) if (frame, layer) in lies]
+        return sum(end_of_packet(self._file, entry.offset) - entry.offset for entry in entries)
+
+    def _refinement(self, frame: int, layer: int) -> Refinement | None:
+        lies = self._lies_of(frame)
+        if (frame, _UNKNOWN) in lies:
+            message = f"a refinement of frame {frame} is of no layer that there is"
+            raise StreamError(Reason.BAD_PAYLOAD, message, offset=lies[frame, _UNKNOWN].offset)
+        entry = lies.get((frame, layer))
+        if entry is None:
+            return None
+        here = IndexEntry(entry.offset, frame, PacketKind.REFINE)
+        return read_refinement(read_packet_at(self._file, here, max_payload=self._max_payload))
+
+    def _lies_of(self, frame: int) -> Mapping[tuple[int, int], IndexEntry]:
+        """Where the refinements of the frame's segment lie, by frame and layer; the first of several counts."""
+        if frame not in self._segment:
+            survey = self._survey()
+            begin, following = survey.keyframe_before(frame + 1), survey.keyframe_after(frame)
+            end = survey.frame_count if following is None else following
+            self._segment, self._lies = range(begin or 0, end), {}
+            last = max((entry for entry in survey.entries if entry.frame < end), key=lambda entry: entry.offset)
+            after = None if following is None else survey.entry(following)
+            start = end_of_packet(self._file, last.offset)
+            for entry in refinements_between(self._file, start, None if after is None else after.offset):
+                layer = entry.kind if 0 < entry.kind < len(self._header.layers) else _UNKNOWN
+                self._lies.setdefault((entry.frame, layer), entry)
+        return self._lies
+
+
+def lost_refinement(error: StreamError, frame: int) -> StreamError:
+    """The ``error`` as one of the layers above the base, with what a reader shows instead."""
+    error.args = (f"{error}; from frame {frame} on the base alone is shown, up to the next keyframe",)
+    return error

@@ -1,0 +1,107 @@
+"""Layers of the plain decoder (sections 6, "Refinement packet", and 7, "Layers"): frames with all that refines them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from plain_container import DELTA, FRAME_KINDS, HEADER, KEY, REFINE, SKIP, Fields, Limits, Packet, packets, refuse
+from plain_header import Header, read_header
+from plain_payload import corrections, delta, key
+from plain_state import State, digest
+
+IDS_OF_A_LAYER = 1 << 50
+
+
+class Refinement:
+    """The fields of a REFINE packet."""
+
+    def __init__(self, packet: Packet) -> None:
+        fields = Fields(packet.payload)
+        self.layer, self.kind = fields.u8(), fields.u8()
+        if not 1 <= self.layer <= 3 or self.kind not in FRAME_KINDS or fields.take(2) != b"\0\0":
+            refuse("bad-payload")
+        self.digest = fields.u64()
+        bodies = [fields.take(fields.u32()) for _ in range(self.layer)]
+        self.alignments = [replace(packet, kind=DELTA, payload=body) if body else None for body in bodies]
+        self.block = replace(packet, kind=self.kind, payload=packet.payload[fields.position :])
+
+
+def decode_layers(data: bytes, top: int = 1) -> list[list[State]]:
+    """The blocks 0 to `top` of each frame of an undamaged stream. Raises Broken."""
+    limits, header = Limits(), None
+    frames: list[Packet] = []
+    told: dict[tuple[int, int], Refinement] = {}
+    for packet in packets(data, limits):
+        if packet.kind == HEADER:
+            header = read_header(packet.payload)
+        elif packet.kind in FRAME_KINDS:
+            frames.append(packet)
+        elif packet.kind == REFINE:
+            refinement = Refinement(packet)
+            told[packet.frame, refinement.layer] = refinement
+    assert header is not None
+    shown: list[list[State]] = []
+    first: list[State] | None = None
+    for packet in frames:
+        _, body = corrections(packet, header)
+        refinements = [told.get((packet.frame, layer)) for layer in range(1, top + 1)]
+        blocks, own = frame(body, refinements, header, shown[-1] if shown else None, first, limits)
+        first = first or own
+        shown.append(blocks)
+    return shown
+
+
+def frame(
+    packet: Packet,
+    refinements: Sequence[Refinement | None],
+    header: Header,
+    before: list[State] | None,
+    first: list[State] | None,
+    limits: Limits,
+) -> tuple[list[State], list[State]]:
+    """The blocks of a frame, and the same before they are aligned."""
+    if packet.kind == SKIP and not any(refinements):
+        assert before is not None
+        unchanged = [replace(block, frame=packet.frame) for block in before]
+        return unchanged, unchanged
+    if not all(refinements):
+        refuse("missing-key")
+    own = []
+    for layer, each in enumerate([packet, *(refinement.block for refinement in refinements if refinement)]):
+        own.append(block(each, layer, header, before, first, limits))
+        if not layer * IDS_OF_A_LAYER <= own[-1].next_id <= (layer + 1) * IDS_OF_A_LAYER:
+            refuse("bad-payload")
+    top = refinements[-1]
+    assert top is not None
+    aligned = list(own)
+    for layer, change in enumerate(top.alignments):
+        if change is not None:
+            _, state = delta(change, header, own[layer], limits)
+            if state.ids != own[layer].ids:
+                refuse("bad-payload")
+            aligned[layer] = replace(state, frame=packet.frame)
+    union = State(
+        packet.frame,
+        aligned[-1].next_id,
+        [name for each in aligned for name in each.ids],
+        [row for each in aligned for row in each.rows],
+    )
+    if digest(union, sum(header.channels)) != top.digest:
+        refuse("digest-mismatch")
+    return aligned, own
+
+
+def block(
+    packet: Packet, layer: int, header: Header, before: list[State] | None, first: list[State] | None, limits: Limits
+) -> State:
+    if packet.kind == KEY:
+        told, state = key(packet, header, first[layer] if first else None, limits)
+        if digest(state, sum(header.channels)) != told:
+            refuse("digest-mismatch")
+        return state
+    if before is None:
+        refuse("missing-key")
+    if packet.kind == DELTA:
+        return replace(delta(packet, header, before[layer], limits)[1], frame=packet.frame)
+    return replace(before[layer], frame=packet.frame)

@@ -1,0 +1,156 @@
+"""A base that is trained on the decoded scene: exact with what refines it, like the whole alone, the same each time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.packets.deltas import apply_delta, difference
+from decogs.codec.packets.keyframes import keyframe_state
+from decogs.codec.packets.syntax import write_delta, write_key
+from decogs.codec.scene.lattice import default_lattice, dequantise, quantise
+from decogs.codec.scene.state import State, take_rows
+from decogs.decoder.editing import edit
+from decogs.decoder.editing.operations.layer import MakeLayers
+from decogs.decoder.reading.stream import open_stream
+from decogs.encoder.backends import training_kernel
+from decogs.encoder.backends.psnr import psnr_of, square_error
+from decogs.encoder.layering import layers
+from decogs.encoder.layering.utility import utility
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import Splats
+from decogs.formats.stream.container import PacketKind, StreamWriter
+from edited_streams import states_of
+from layered_streams import rows_of
+
+COUNT = 600
+
+
+def camera(name: str, x: float) -> Camera:
+    pose = np.eye(4)
+    pose[0, 3] = -x
+    return Camera(name, 80, 60, 70.0, 70.0, 40.0, 30.0, pose)
+
+
+CAMERAS = tuple(camera(f"cam{k}", 0.5 * (k - 1)) for k in range(3))
+
+
+def wall() -> Splats:
+    """Small Gaussians before and behind each other, of colours that change smoothly."""
+    random = np.random.default_rng(0)
+    means = random.uniform((-2.5, -2, 3.5), (2.5, 2, 4.5), (COUNT, 3))
+    colours = np.stack([np.sin(means[:, 0]), np.cos(means[:, 1]), np.sin(means[:, 2])], axis=1)
+    quaternions = random.normal(size=(COUNT, 4))
+    return Splats(
+        means.astype(np.float32),
+        np.log(random.uniform(0.08, 0.2, (COUNT, 3))).astype(np.float32),
+        (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
+        random.uniform(0.0, 3.0, COUNT).astype(np.float32),
+        colours[:, None].astype(np.float32),
+    )
+
+
+@pytest.fixture
+def moving(tmp_path: Path) -> SimpleNamespace:
+    """Eight frames in which a fifth of a wall moves, some Gaussians come and some go."""
+    path, lattice = tmp_path / "moving.dgs", default_lattice(1.0)
+    header = StreamHeader(cameras=CAMERAS, lattice=lattice, fps=30.0)
+    state, _ = keyframe_state(quantise(wall(), lattice))
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        writer.write(PacketKind.KEY, 0, write_key(state).payload)
+        for frame in range(1, 8):
+            rows = np.arange(frame % 2, len(state), 5)
+            current = take_rows(state, rows)
+            current.means[:, 0] += 40
+            added = take_rows(state, np.arange(10 * frame, 10 * frame + 4))
+            delta = difference(state, rows, current, removed=np.array([frame, 2 * frame + 50]), added=added)
+            writer.write(PacketKind.DELTA, frame, write_delta(state, delta).payload)
+            state = apply_delta(state, delta)
+        writer.finish()
+    return SimpleNamespace(path=path, lattice=lattice)
+
+
+def likeness(whole: list[State], some: list[State], lattice: object) -> list[float]:
+    """PSNR of one against the other, of each frame."""
+    kernel = training_kernel("cpu", 1)
+
+    def picture(state: State, camera: Camera) -> np.ndarray:
+        return np.clip(kernel.forward(dequantise(state, lattice), camera).rgb, 0, 1).copy()  # type: ignore[arg-type]
+
+    return [
+        psnr_of(np.mean([square_error(picture(base, view), picture(all_of_it, view)) for view in CAMERAS]))
+        for all_of_it, base in zip(whole, some, strict=True)
+    ]
+
+
+def bases_of(path: Path) -> list[State]:
+    with open_stream(path, strict=True, layer="base") as stream:
+        return [frame.state for frame in stream.frames()]
+
+
+def test_all_layers_are_the_stream_and_the_base_looks_like_it(moving, tmp_path: Path) -> None:
+    """Untrained, the same Gaussians leave holes."""
+    out = tmp_path / "out.dgs"
+    report = edit(moving.path, out, [MakeLayers(0.25)])
+    whole = states_of(moving.path)
+    for one, other in zip(states_of(out), whole, strict=True):
+        np.testing.assert_array_equal(rows_of(one), rows_of(other))
+    trained = likeness(whole, bases_of(out), moving.lattice)
+    with open_stream(out) as stream:
+        base = stream.header.layers[0]
+        untrained = [frame.blocks[0] for frame in stream.frames() if frame.blocks is not None]
+    assert 0.2 < base.gaussians / max(map(len, whole)) < 0.3
+    assert base.psnr == pytest.approx(np.mean(trained), abs=1.0)
+    assert f"{base.psnr:.1f} dB of the whole" in report.notes[0]
+    assert np.min(trained) > np.mean(likeness(whole, untrained, moving.lattice)) + 6
+    edit(moving.path, tmp_path / "again.dgs", [MakeLayers(0.25)])
+    assert (tmp_path / "again.dgs").read_bytes() == out.read_bytes()
+
+
+def test_a_later_round_keeps_what_stands_still(moving, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Offsets of Gaussians that nothing moves are coded once, those of the others again."""
+    monkeypatch.setattr(layers, "_ROUND_FRAMES", 4)
+    out = tmp_path / "out.dgs"
+    edit(moving.path, out, [MakeLayers(0.25)])
+    whole = states_of(moving.path)
+    for one, other in zip(states_of(out), whole, strict=True):
+        np.testing.assert_array_equal(rows_of(one), rows_of(other))
+    assert np.ptp(likeness(whole, bases_of(out), moving.lattice)) < 3
+    with open_stream(out, layer="base") as stream:
+        fresh = [frame.changes.touched / len(frame.state) for frame in stream.frames()]
+    assert 0.2 < fresh[4] < 0.95
+    assert max(fresh[1:4] + fresh[5:]) < 0.4
+
+
+def test_what_covers_most_is_worth_most() -> None:
+    scene = wall()
+    large = Splats(scene.means, scene.log_scales.copy(), scene.quaternions, scene.opacity_logits.copy(), scene.sh)
+    large.log_scales[0] += 2.0
+    large.opacity_logits[1] = -12.0
+    worth = utility(training_kernel("cpu", 1), large, CAMERAS, np.random.default_rng(1))
+    assert worth.argmax() == 0
+    assert worth[1] < np.median(worth) / 100
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_scenes_of_hardly_any_gaussian(tmp_path: Path, count: int) -> None:
+    path, lattice = tmp_path / "few.dgs", default_lattice(1.0)
+    scene = quantise(wall(), lattice)
+    state, _ = keyframe_state(take_rows(scene, np.arange(count)))
+    with path.open("wb") as file:
+        writer = StreamWriter(file, StreamHeader(cameras=CAMERAS, lattice=lattice).to_bytes())
+        writer.write(PacketKind.KEY, 0, write_key(state).payload)
+        writer.finish()
+    if count:
+        edit(path, tmp_path / "out.dgs", [MakeLayers(0.25)])
+        assert len(bases_of(tmp_path / "out.dgs")[0]) == 1
+    else:
+        from decogs.formats.errors import UsageError
+
+        with pytest.raises(UsageError, match="no Gaussian is there in frames 0 to 0"):
+            edit(path, tmp_path / "out.dgs", [MakeLayers(0.25)])
