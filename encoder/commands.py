@@ -178,6 +178,11 @@ def _add_long_takes(group: argparse._ArgumentGroup) -> None:
         help="start every segment from the first keyframe's Gaussians, so that none depends on another",
     )
     group.add_argument(
+        "--layers",
+        action="store_true",
+        help="write the finished stream as a base that plays alone, and what makes it whole (decogs-edit layer)",
+    )
+    group.add_argument(
         "--resume", action="store_true", help="continue SCENE.DGS.part, or SCENE.DGS, of an interrupted encode"
     )
     group.add_argument(
@@ -249,9 +254,31 @@ def _add_research(group: argparse._ArgumentGroup) -> None:
 
 
 def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
+    if options.layers:
+        _check_layers(options)
     if options.cluster is not None:
-        return _encode_on_cluster(parser, options)
-    return _encode(parser, options) if options.only is None else retryable(parser, lambda: _encode(parser, options))
+        code = _encode_on_cluster(parser, options)
+    elif options.only is not None:
+        return retryable(parser, lambda: _encode(parser, options))
+    else:
+        code = _encode(parser, options)
+    return code or _put_in_layers(parser, options) if options.layers else code
+
+
+def _check_layers(options: argparse.Namespace) -> None:
+    """Raises UsageError for outputs that are never finished here."""
+    for name, value in {"only": options.only, "output": "-" if options.output == "-" else None}.items():
+        if value is not None:
+            raise UsageError(f"`layers`: they are made of a finished stream, so not with `{name}` {value}; use `edit`")
+
+
+def _put_in_layers(parser: Parser, options: argparse.Namespace) -> int:
+    from .layering.finished import put_in_layers
+
+    with progress("making layers", quiet=options.quiet) as on_frame:
+        report = put_in_layers(options.output, on_frame=on_frame, on_warning=warn_as(parser))
+    print_text("\n".join((*report.notes, f"{printable(options.output)}: in layers, {report.file_bytes} bytes")))
+    return 0
 
 
 def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:

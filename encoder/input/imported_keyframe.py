@@ -102,6 +102,9 @@ def read_keyframe(path: str | os.PathLike[str]) -> KeyframeSource:
         with open_stream(path, strict=False) as stream:
             if not stream.frame_count:
                 raise UsageError(f"`keyframe` {path}: the stream has no frame; give one with at least a keyframe")
+            if stream.header.layers:
+                remedy = f"take them off with `decogs-edit {path} -o PLAIN.DGS strip layers`"
+                raise UsageError(f"`keyframe` {path}: the stream is in layers; {remedy}")
             return KeyframeSource(Path(path), stream.header, next(stream.frames(0, 1)).state)
     except OSError as error:
         raise UsageError(f"`keyframe` {path}: {error.strerror}; give the .dgs file of an earlier encode") from error

@@ -19,9 +19,13 @@ from decogs.decoder.editing.operations.layer import MakeLayers
 from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.backends import training_kernel
 from decogs.encoder.backends.psnr import psnr_of, square_error
+from decogs.encoder.commands import encode_main
+from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.layering import layers
+from decogs.encoder.layering.finished import put_in_layers
 from decogs.encoder.layering.utility import utility
 from decogs.formats.cameras import Camera
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.splats import Splats
 from decogs.formats.stream.container import PacketKind, StreamWriter
 from edited_streams import states_of
@@ -150,7 +154,28 @@ def test_scenes_of_hardly_any_gaussian(tmp_path: Path, count: int) -> None:
         edit(path, tmp_path / "out.dgs", [MakeLayers(0.25)])
         assert len(bases_of(tmp_path / "out.dgs")[0]) == 1
     else:
-        from decogs.formats.errors import UsageError
-
         with pytest.raises(UsageError, match="no Gaussian is there in frames 0 to 0"):
             edit(path, tmp_path / "out.dgs", [MakeLayers(0.25)])
+
+
+def test_a_finished_stream_is_replaced(moving, tmp_path: Path) -> None:
+    """And stays as it is where that fails; nothing is left beside it."""
+    edit(moving.path, tmp_path / "out.dgs", [MakeLayers()])
+    before = moving.path.read_bytes()
+    put_in_layers(moving.path)
+    assert moving.path.read_bytes() == (tmp_path / "out.dgs").read_bytes()
+    moving.path.write_bytes(before[:-200] + bytes(100) + before[-100:])
+    damaged = moving.path.read_bytes()
+    with pytest.raises(StreamError):
+        put_in_layers(moving.path, on_warning=lambda text: None)
+    assert moving.path.read_bytes() == damaged
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["moving.dgs", "out.dgs"]
+
+
+def test_what_layers_do_not_go_with(moving, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, said in ((["-o", "-"], "not with -o -"), (["-o", "x.dgs", "--only", "0:1"], "not with --only")):
+        assert encode_main([str(tmp_path), "--layers", *words]) == 2
+        assert said in capsys.readouterr().err
+    put_in_layers(moving.path)
+    with pytest.raises(UsageError, match="the stream is in layers; take them off"):
+        read_keyframe(moving.path)
