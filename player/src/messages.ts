@@ -24,6 +24,12 @@ export interface Opening {
   readonly credentials?: "include";
 }
 
+/** What a stream's layers may take together; without a number, anything. */
+export interface Budget {
+  readonly gaussians?: number;
+  readonly bitsPerSecond?: number;
+}
+
 export type ToWorker =
   | ({ readonly type: "open" } & Opening)
   /** Show a frame; the answer is a "frame" or a "failed" message with the same `request`. */
@@ -32,6 +38,8 @@ export type ToWorker =
   | { readonly type: "view"; readonly depth: DepthRow; readonly serial: number }
   /** Draw so large a share of the Gaussians, those that cover most; answered by an "order". */
   | { readonly type: "detail"; readonly share: number }
+  /** Layers are decoded up to here, from the next frame on; also before the stream is open. */
+  | { readonly type: "budget"; readonly budget: Budget }
   /** Look whether the source has grown. */
   | { readonly type: "refresh" }
   /** Send the whole frame again: the page has lost its textures. */
@@ -119,6 +127,8 @@ export interface FrameInfo {
   readonly frame: number;
   readonly kind: FrameKind | null;
   readonly bytes: number;
+  /** The top layer that the scene has, 0 the base. */
+  readonly layer: number;
   readonly damage: string | null;
   readonly count: number;
   readonly changed: number;

@@ -88,6 +88,18 @@ export interface StreamHeader {
   readonly subject: boolean;
   readonly presentation: Presentation;
   readonly sound: readonly SoundTrack[];
+  /** The base, and what refines it; none where the frames' packets hold the whole scene. */
+  readonly layers: readonly Layer[];
+}
+
+/** A layer with all below it (SPEC section 4). */
+export interface Layer {
+  /** The most in any frame. */
+  readonly gaussians: number;
+  /** Mean on disk. */
+  readonly bytesPerFrame: number;
+  /** In dB, against all layers together; null of those. */
+  readonly psnr: number | null;
 }
 
 /** How a stream wants to be shown (SPEC section 4). null and the empty text: it does not say. */
@@ -164,6 +176,8 @@ export interface SceneFrame {
   /** null where the packet is damaged: then the scene is that of the last good frame. */
   readonly kind: FrameKind | null;
   readonly bytes: number;
+  /** The top layer that the scene has, 0 the base. */
+  readonly layer: number;
   /** What is wrong with this frame, one sentence with the reason code of SPEC section 9; null when nothing is. */
   readonly damage: string | null;
   readonly gaussians: Gaussians;
@@ -216,6 +230,10 @@ export interface SceneStream {
   frame(index: number, signal?: AbortSignal): Promise<SceneFrame>;
   /** The keyframe at or before a frame, while another frame is shown; one at a time, and in memory of its own. */
   keyframe(index: number): Promise<Still>;
+  /** Decodes layers up to here, from the next frame on. */
+  keepWithin(budget: { readonly gaussians?: number; readonly bitsPerSecond?: number }): void;
+  /** Has what refines a frame come, to be there when that is asked for again; resolves to whether there is any. */
+  refine(frame: number): Promise<boolean>;
   /** Reads bytes of the coming frames ahead, within the window that bounds memory. */
   prefetch(from: number): Promise<void>;
   /** The sound of frames from one up to, not including, another, as far as they are known; damage is silence. */

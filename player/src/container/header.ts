@@ -4,6 +4,7 @@ import type { CameraColours, LampWave, Lattice, RigCamera, StreamHeader } from "
 import { refuse } from "./errors";
 import { JsonNumber, parseJson, type JsonObject, type JsonValue } from "./json";
 import { MAX_CAMERAS, MAX_HEADER_BYTES, MAX_IMAGE_SIDE } from "./limits";
+import { readLayers } from "./layers";
 import { readPresentation } from "./presentation";
 import { readSoundTracks } from "./sound";
 
@@ -47,6 +48,7 @@ export function readHeader(payload: Uint8Array): StreamHeader {
     subject: readFlag(members, "subject"),
     presentation: readPresentation(members.get("presentation"), cameras.map(({ name }) => name)),
     sound: readSoundTracks(members.get("sound"), readFps(member(members, "fps"))),
+    layers: readLayers(members.get("layers")),
   };
   checkTexts(members);
   checkCameras(header);

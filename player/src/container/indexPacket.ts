@@ -31,10 +31,25 @@ export function readIndex(payload: Uint8Array, ownOffset: number): IndexEntry[] 
   return entries;
 }
 
-function readEntry(fields: Fields): IndexEntry {
+/** The entries of a layers packet: as those of an index, with the layer in place of the kind. */
+export function readLayersIndex(payload: Uint8Array): IndexEntry[] {
+  const fields = new Fields(payload);
+  const count = fields.u32();
+  if (count * 16 !== fields.rest) refuse("bad-payload", `${count} index entries do not fill their payload`);
+  const entries: IndexEntry[] = [];
+  for (let i = 0; i < count; i++) entries.push(readFields(fields));
+  return entries;
+}
+
+function readFields(fields: Fields): IndexEntry {
   // Above 2^53 the number is rounded, and lies behind the index packet all the same.
   const entry = { offset: Number(fields.u64()), frame: fields.u32(), kind: fields.u8() };
   fields.take(3);
+  return entry;
+}
+
+function readEntry(fields: Fields): IndexEntry {
+  const entry = readFields(fields);
   if (frameKind(entry.kind) === null) refuse("index-mismatch", "the index lists a packet that holds no frame");
   return entry;
 }

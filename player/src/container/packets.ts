@@ -4,7 +4,7 @@ import { crc32 } from "../kernel/blocks";
 import type { FrameKind } from "../scene";
 import { refuse } from "./errors";
 
-export const KIND = { HEADER: 1, KEY: 2, DELTA: 3, SKIP: 4, INDEX: 5, END: 6, METRICS: 7, SOUND: 8 } as const;
+export const KIND = { HEADER: 1, KEY: 2, DELTA: 3, SKIP: 4, INDEX: 5, END: 6, METRICS: 7, SOUND: 8, REFINE: 9, LAYERS: 10 } as const;
 
 export const PROLOGUE_BYTES = 16;
 export const PACKET_HEADER_BYTES = 20;

@@ -5,6 +5,7 @@
  * exact (drawn by the decoder's own kernel; "off": by WebGL2 wherever there is any; without it, by what is faster), recorded (cameras of the rig show
  * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there),
  * quality (a share of the pixels, and fewer Gaussians, for weak devices), range (frames A:B that are played again and again, B not among them), orbit (the view moves by itself until somebody takes it), limits ("rig": views stay where cameras have seen the scene from),
+ * max-gaussians and max-bitrate (bits a second: of a stream in layers, only the base is shown where all are above),
  * muted (without sound, to begin with), gestures ("cooperative": one finger and the wheel scroll the page, two fingers and Ctrl move the camera).
  */
 import type { PlayerApi, Span } from "../player_api";
@@ -76,6 +77,22 @@ export abstract class AttributeElement extends Base {
     if (value === null) this.removeAttribute("range");
     else this.setAttribute("range", `${value[0]}:${value[1]}`);
   }
+  /** Gaussians that a stream's layers may have together; where they have more, the base is shown. */
+  get maxGaussians(): number | null {
+    return budgetOf(this.getAttribute("max-gaussians"));
+  }
+  set maxGaussians(value: number | null) {
+    if (value === null) this.removeAttribute("max-gaussians");
+    else this.setAttribute("max-gaussians", String(value));
+  }
+  /** Bits a second that a stream's layers may take together. */
+  get maxBitrate(): number | null {
+    return budgetOf(this.getAttribute("max-bitrate"));
+  }
+  set maxBitrate(value: number | null) {
+    if (value === null) this.removeAttribute("max-bitrate");
+    else this.setAttribute("max-bitrate", String(value));
+  }
   get quality(): number {
     const share = Number(this.getAttribute("quality") ?? 1);
     return share > 0 && share <= 1 ? share : 1;
@@ -102,6 +119,11 @@ export function takeOverProperties(element: HTMLElement): void {
       reportError(error); // the others count
     }
   }
+}
+
+function budgetOf(text: string | null): number | null {
+  const value = Number(text ?? "");
+  return text !== null && text.trim() !== "" && value >= 0 ? value : null;
 }
 
 /** Frames A:B, as commands have them; null for what is none. */

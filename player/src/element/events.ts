@@ -24,6 +24,8 @@ export type PlayerEvent =
   | "volumechange"
   /** A picture of another camera of the rig, or of none: `player.camera`. */
   | "camerachange"
+  /** A stream in layers shows another one: `player.info.layer`, 0 the base. */
+  | "layerchange"
   /** Somebody looks at the scene in a headset, and looks no longer. */
   | "xrstart"
   | "xrend";

@@ -3,6 +3,7 @@
  * together, and says when a stream is opened, waited with, left and taken up again.
  */
 import { adopt } from "../adopted_style";
+import type { Budget } from "../messages";
 import type { PlayerApi, View } from "../player_api";
 import type { StreamHeader } from "../scene";
 import { Accessibility } from "./accessibility";
@@ -168,6 +169,7 @@ export class Playout {
     if (name === "muted") element.muted = value !== null;
     if (name === "limits") viewpoint.limit(value === "rig");
     if (name === "quality") appearance.chooseQuality();
+    if (name === "max-gaussians" || name === "max-bitrate") this.session.send({ type: "budget", budget: budgetOf(element) });
     if (name === "range") playback.range = element.range;
     if (name === "camera" && value !== null) element.camera = value;
     this.controls.panels?.refresh();
@@ -278,6 +280,8 @@ export class Playout {
     }
     const opening = { source, follow: element.hasAttribute("follow"), sparing: element.preload === "metadata" && !element.autoplay };
     this.session.open(element.crossOrigin === "use-credentials" ? { ...opening, credentials: "include" } : opening, this.pictures);
+    const budget = budgetOf(element);
+    if (Object.keys(budget).length > 0) this.session.send({ type: "budget", budget });
   }
 
   #opened(header: StreamHeader): void {
@@ -338,4 +342,12 @@ export class Playout {
     this.#poster.image.before(...pictures.elements);
     return pictures;
   }
+}
+
+/** What a stream's layers may take together, where anybody says: the page, or a person who saves data. */
+function budgetOf({ maxGaussians, maxBitrate }: AttributeElement): Budget {
+  const { navigator } = globalThis as { readonly navigator?: { readonly connection?: { readonly saveData?: boolean } } };
+  const saves = navigator?.connection?.saveData === true;
+  const bitsPerSecond = saves ? 0 : maxBitrate;
+  return { ...(maxGaussians !== null && { gaussians: maxGaussians }), ...(bitsPerSecond !== null && { bitsPerSecond }) };
 }

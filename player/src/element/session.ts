@@ -317,7 +317,9 @@ export class Session {
     const first = this.info === null;
     const steps = Math.abs(info.frame - (this.info?.frame ?? info.frame));
     if (message.request >= 0) this.playback.note(info.decodeMs + info.packMs + draw.sortMs, steps);
+    const layered = !first && info.layer !== this.info!.layer;
     this.info = info;
+    if (layered) this.host.tell("layerchange");
     this.#faults.damage = info.damage;
     this.#faults.error = null;
     if (info.frame === this.#requested || message.request >= this.#requests) this.#buffering.expectNone();

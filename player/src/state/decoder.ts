@@ -37,9 +37,9 @@ export interface Step {
 }
 
 const NO_SLOTS = new Uint32Array(0);
-const ALL_GROUPS = 0b111111;
+export const ALL_GROUPS = 0b111111;
 /** Room in a keyframe's memory: what the next frames add, and the next keyframe, which is built in it. */
-const ROOM = 1.0625;
+export const ROOM = 1.0625;
 const REFERENCE_OFFSET = 20;
 const NO_FLOATS = new Float32Array(0);
 const NO_GAUSSIANS: Gaussians = {
@@ -80,11 +80,10 @@ export class Decoder {
   get gaussians(): Gaussians {
     const { state } = this;
     if (state === null) return NO_GAUSSIANS;
-    const { count, inOrder, floats } = state;
-    return { count, ...floats, order: inOrder ? null : state.order.subarray(0, count) };
+    return gaussiansOf(state);
   }
 
-  /** The state, for tests. */
+  /** The state itself: whoever takes it does not change it. */
   get integers(): State | null {
     return this.state;
   }
@@ -182,6 +181,11 @@ export class Decoder {
   }
 }
 
+export function gaussiansOf(state: State): Gaussians {
+  const { count, inOrder, floats } = state;
+  return { count, ...floats, order: inOrder ? null : state.order.subarray(0, count) };
+}
+
 function applySkip(state: State, fields: Fields): Omit<Step, "corrections"> {
   const digest = fields.u64();
   fields.finish();
@@ -195,22 +199,28 @@ function buildKey(state: State, head: KeyHead, { changes, ids, values }: KeyBody
   changeState(state, changes ?? nothing, ids, values, head.nextId, digest);
 }
 
-interface Changed {
+export interface Changed {
   readonly slots: { readonly touched: Uint32Array; readonly taken: Uint32Array };
   readonly moved: Uint32Array;
 }
 
-/** Steps 1 to 3 of SPEC section 7; a state whose digest is another afterwards is as before, and refused. */
-function changeState(
+/**
+ * Steps 1 to 3 of SPEC section 7, of the rows `from` up to `end`; a state whose digest is another afterwards is as before,
+ * and refused. `digest` null: it is compared later, and `nextId` is of these rows alone.
+ */
+export function changeState(
   state: State,
-  { touched: touchedRows, residuals, removed }: Changes,
+  { touched: touchedRows, residuals, removed: removedRows }: Changes,
   ids: Ids,
   values: Groups,
   nextId: bigint,
-  digest: bigint,
+  digest: bigint | null,
+  from = 0,
+  end = state.count,
 ): Changed {
   const added = ids.low.length;
-  const touched = state.placesOf(touchedRows);
+  const removed = shifted(removedRows, from);
+  const touched = state.placesOf(shifted(touchedRows, from));
   const freed = state.placesOf(removed);
   const { sum } = state;
   state.reserve(state.count + added);
@@ -219,9 +229,9 @@ function changeState(
   // Beyond the last slot until the digest is verified: the removed ones may have to stay.
   state.writeBehind(ids, values);
   try {
-    const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed);
+    const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed, from, end);
     if (lastId >= nextId) refuse("bad-payload", "the next id is not above all ids");
-    checkDigest(state.sum, state.count - removed.length + added, nextId, digest);
+    if (digest !== null) checkDigest(state.sum, state.count - removed.length + added, nextId, digest);
   } catch (error) {
     state.change(touched, residuals, true);
     state.sum = sum;
@@ -229,10 +239,11 @@ function changeState(
   }
   const taken = slotsForNew(state, freed, added);
   if (freed.length > 0) for (let i = 0; i < added; i++) state.move(state.count + i, taken[i]);
-  const moved = closeUp(state, removed, freed, taken, (from, to) => {
-    state.move(from, to);
-  });
-  state.nextId = nextId;
+  const move = (slot: number, to: number): void => {
+    state.move(slot, to);
+  };
+  const moved = closeUp(state, removed, freed, taken, move, end);
+  if (digest !== null) state.nextId = nextId;
   return { slots: { touched, taken }, moved };
 }
 
@@ -240,14 +251,18 @@ function idOf({ low, high }: Ids, i: number): bigint {
   return (BigInt(high[i]) << 32n) | BigInt(low[i]);
 }
 
-/** The id of the last row that is not removed; -1 when none is left. */
-function lastKeptId(state: State, removed: Uint32Array): bigint {
-  let row = state.count - 1;
-  for (let i = removed.length - 1; i >= 0 && removed[i] === row; i--) row--;
-  return row < 0 ? -1n : state.id(row);
+function shifted(rows: Uint32Array, by: number): Uint32Array {
+  return by === 0 ? rows : rows.map((row) => row + by);
 }
 
-function checkDigest(sum: bigint, count: number, nextId: bigint, expected: bigint): void {
+/** The id of the last row that is not removed; -1 when none is left. */
+function lastKeptId(state: State, removed: Uint32Array, from: number, end: number): bigint {
+  let row = end - 1;
+  for (let i = removed.length - 1; i >= 0 && removed[i] === row; i--) row--;
+  return row < from ? -1n : state.id(row);
+}
+
+export function checkDigest(sum: bigint, count: number, nextId: bigint, expected: bigint): void {
   if (combine(sum, count, nextId) !== expected) {
     refuse("digest-mismatch", "the reconstructed state is not the encoder's");
   }
@@ -258,7 +273,7 @@ function keyCounts({ count, refers }: KeyHead, { changes, ids }: KeyBody): Pick<
   return { changed: changes.touched.length, added: ids.low.length, removed: changes.removed.length };
 }
 
-function concatenated(...parts: Uint32Array[]): Uint32Array {
+export function concatenated(...parts: Uint32Array[]): Uint32Array {
   const joined = new Uint32Array(parts.reduce((length, part) => length + part.length, 0));
   let position = 0;
   for (const part of parts) {
@@ -269,7 +284,7 @@ function concatenated(...parts: Uint32Array[]): Uint32Array {
 }
 
 /** Slots below the count, each once. */
-function distinct(slots: Uint32Array, count: number): Uint32Array {
+export function distinct(slots: Uint32Array, count: number): Uint32Array {
   const seen = new Uint8Array(count);
   let kept = 0;
   for (let i = 0; i < slots.length; i++) {

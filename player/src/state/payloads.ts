@@ -81,7 +81,10 @@ function readListed(fields: Fields, head: KeyHead, first: State, { removed }: Ch
   return listed;
 }
 
-export function readDelta(fields: Fields, state: State, maxGaussians: number): Delta {
+/** What a delta has to fit: a state, or a block of one. */
+export type Population = Pick<State, "count" | "channels" | "nextId">;
+
+export function readDelta(fields: Fields, state: Population, maxGaussians: number): Delta {
   const changes = readChanges(fields, state.count, state.channels);
   const added = fields.u32();
   checkCount(state.count - changes.removed.length + added, maxGaussians);

@@ -15,8 +15,8 @@ export function slotsForNew(state: State, freed: Uint32Array, added: number): Ui
 }
 
 /**
- * Closes up the rows behind those removed, appends the new ones, and moves the last Gaussians into slots that stay
- * empty. Returns the slots whose Gaussians moved; `moveTo` is told of each.
+ * Closes up the rows behind those removed, puts the new ones behind the rows up to `end` (of before), and moves the last
+ * Gaussians into slots that stay empty. Returns the slots whose Gaussians moved; `move` is told of each.
  */
 export function closeUp(
   state: State,
@@ -24,12 +24,16 @@ export function closeUp(
   freed: Uint32Array,
   taken: Uint32Array,
   move: (from: number, to: number) => void,
+  end = state.count,
 ): Uint32Array {
   const { order } = state;
+  const behind = state.count - end;
   const kept = closeRows(order, state.count, removed);
-  order.set(taken, kept);
+  const at = kept - behind;
+  order.copyWithin(at + taken.length, at, kept);
+  order.set(taken, at);
   state.count = kept + taken.length;
-  state.inOrder &&= removed.length === 0;
+  state.inOrder &&= removed.length === 0 && (behind === 0 || taken.length === 0);
   return fillHoles(state, freed.subarray(Math.min(freed.length, taken.length)), move);
 }
 

@@ -10,8 +10,16 @@ const LOST_FOR_EACH = 64;
 
 const LOST: FrameEntry = { kind: null, bytes: 0 };
 
+/** Where the packet of a refinement lies. */
+export interface Place {
+  readonly offset: number;
+  readonly bytes: number;
+}
+
 export class FrameTable {
   readonly entries: FrameEntry[] = [];
+  /** Of the layer above the base, by frame, where an index tells. */
+  refinements: ReadonlyMap<number, Place> = new Map();
   private readonly offsets: number[] = [];
   private readonly causes = new Map<number, StreamError>();
   private present = 0;
@@ -52,6 +60,13 @@ export class FrameTable {
   /** What is wrong where a lost frame should be. */
   cause(frame: number): StreamError {
     return this.causes.get(frame) ?? new StreamError("frame-order", `the packet of frame ${frame} is missing`);
+  }
+
+  /** Up to, not including, which frame a frame's segment goes. */
+  segmentEnd(frame: number): number {
+    let end = frame + 1;
+    while (end < this.length && this.entries[end].kind !== "key") end++;
+    return end;
   }
 
   /** The last keyframe at or before a frame; null when there is none. */

@@ -2,7 +2,7 @@
 
 import { StreamError, isDamage, refuse } from "../container/errors";
 import { readHeader } from "../container/header";
-import { readEnd, readIndex, type IndexEntry } from "../container/indexPacket";
+import { readEnd, readIndex, readLayersIndex, type IndexEntry } from "../container/indexPacket";
 import { MAX_HEADER_BYTES, type Limits } from "../container/limits";
 import {
   END_PACKET_BYTES,
@@ -71,8 +71,10 @@ export async function readIndexAtEnd(
     const { frames, indexOffset } = readEnd(end);
     const room = size - END_PACKET_BYTES - indexOffset;
     if (indexOffset < opening.end || room < PACKET_OVERHEAD) return null;
-    const index = readIndex(await packetOf(source, KIND.INDEX, indexOffset, room, limits, signal), indexOffset);
-    return tableOf(index, frames, opening.end, indexOffset);
+    const payload = await packetOf(source, KIND.INDEX, indexOffset, room, limits, signal);
+    const layersOffset = indexOffset + PACKET_OVERHEAD + payload.length;
+    const layers = opening.header.layers.length > 0 ? await layersAt(source, layersOffset, size - END_PACKET_BYTES, limits, signal) : [];
+    return tableOf(readIndex(payload, indexOffset), layers, frames, opening.end, indexOffset);
   } catch (error) {
     if (isDamage(error) || (error instanceof StreamError && error.reason === "reserved-bits")) return null;
     throw error;
@@ -94,14 +96,34 @@ async function packetOf(
   return readPayload(await source.read(offset, PACKET_OVERHEAD + header.length, signal), header.length);
 }
 
-/** A frame's bytes are taken to reach up to the next one: what stands between them is read with it. */
-function tableOf(index: readonly IndexEntry[], frames: number, start: number, end: number): FrameTable | null {
+/** Where refinements lie; none where that cannot be read, since the base plays without. */
+async function layersAt(source: ByteSource, offset: number, end: number, limits: Limits, signal?: AbortSignal): Promise<IndexEntry[]> {
+  if (offset + PACKET_OVERHEAD > end) return [];
+  try {
+    return readLayersIndex(await packetOf(source, KIND.LAYERS, offset, end - offset, limits, signal));
+  } catch (error) {
+    if (isDamage(error) || (error instanceof StreamError && error.reason !== null)) return [];
+    throw error;
+  }
+}
+
+/** A frame's bytes are taken to reach up to the next packet that is listed: what stands between them is read with it. */
+function tableOf(
+  index: readonly IndexEntry[],
+  layers: readonly IndexEntry[],
+  frames: number,
+  start: number,
+  end: number,
+): FrameTable | null {
   const table = new FrameTable();
   if (index.length !== frames || (frames > 0 && index[0].offset < start)) return null;
+  const listed = Float64Array.from([...index, ...layers], ({ offset }) => offset).sort();
+  const next = new Map(Array.from(listed, (offset, i) => [offset, listed[i + 1] ?? end] as const));
   for (const [i, { offset, frame, kind }] of index.entries()) {
-    const next = i + 1 < frames ? index[i + 1].offset : end;
     if (frame !== i) return null;
-    table.add(frameKind(kind)!, offset, next - offset);
+    table.add(frameKind(kind)!, offset, next.get(offset)! - offset);
   }
+  const first = layers.filter(({ kind, offset, frame }) => kind === 1 && frame < frames && offset >= start && offset < end);
+  table.refinements = new Map(first.map(({ offset, frame }) => [frame, { offset, bytes: next.get(offset)! - offset }]));
   return table;
 }

@@ -3,6 +3,7 @@
 import { StreamError, isDamage, type Reason } from "../container/errors";
 import { DEFAULT_LIMITS, type Limits } from "../container/limits";
 import { startZstd } from "../entropy/zstd";
+import type { Budget } from "../messages";
 import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, SoundFrame, Still, StreamHeader } from "../scene";
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
 import { BlobFeed } from "./blob";
@@ -12,6 +13,7 @@ import { Changes } from "./changes";
 import { leadsTo, readFramePacket } from "./framePackets";
 import { FrameTable } from "./frameTable";
 import { HttpFeed } from "./http";
+import { Layers, USUAL_FPS, holds, type Refined } from "./layers";
 import { heldFrames, heldShare } from "./heldFrames";
 import { Metrics } from "./metrics";
 import { readIndexAtEnd, readOpening, type Opening } from "./opening";
@@ -36,6 +38,9 @@ export interface StreamOptions {
 
 /** How many bytes ahead `prefetch` reads. */
 const AHEAD_BYTES = 8 << 20;
+/** Of the base: what is read before something else, and below what nothing else is read. */
+const BASE_SECONDS = 3;
+const BASE_SECONDS_AT_LEAST = 1;
 /** Frames. */
 const WALKED_AT_ONCE = 16;
 /** What is found where an index that is wrong says that a frame lies. */
@@ -112,6 +117,9 @@ class OpenStream implements SceneStream {
   private readonly figures = new Metrics();
   /** Reading ahead that began last; what began before gives way. */
   private aheadTurn = 0;
+  private readonly layers: Layers;
+  /** The layer that was given last. */
+  private layer = 0;
 
   constructor(
     private readonly source: ByteSource,
@@ -119,6 +127,7 @@ class OpenStream implements SceneStream {
     private readonly limits: Limits,
     { follow = false, ahead = false, onChange }: StreamOptions,
   ) {
+    this.layers = new Layers(source, opening.header, limits);
     this.follow = follow;
     this.ahead = ahead;
     this.header = opening.header;
@@ -162,7 +171,7 @@ class OpenStream implements SceneStream {
   }
 
   get notices(): readonly string[] {
-    const errors = this.indexed === null ? [...this.indexNotices, ...this.walk.notices] : this.indexNotices;
+    const errors = [...(this.indexed === null ? [...this.indexNotices, ...this.walk.notices] : this.indexNotices), ...this.layers.notices];
     const notices = errors.map((error) => `${error.sentence}.`);
     if (this.indexed === null && this.walk.stopsInside && !this.follow) {
       notices.push("the stream stops inside a packet (truncated): it is cut off, or not finished yet.");
@@ -197,8 +206,12 @@ class OpenStream implements SceneStream {
     const start = this.table.offset(from);
     if (start < 0) return;
     const turn = ++this.aheadTurn;
-    const coming = this.source.prefetch(start, AHEAD_BYTES);
-    await Promise.all([coming, this.walkAhead(start + AHEAD_BYTES, turn)]);
+    // What is due first comes first: some of the base, then what refines it.
+    const length = this.layers.wanted ? Math.min(AHEAD_BYTES, this.baseEnd(from, BASE_SECONDS) - start) : AHEAD_BYTES;
+    if (!(this.layers.wanted && this.hasBase(from))) {
+      await Promise.all([this.source.prefetch(start, length), this.walkAhead(start + length, turn)]);
+    }
+    if (this.indexed !== null && this.hasBase(from)) await this.layers.readOn(this.table, from);
     // Where there is an index, nobody walks along the packets.
     if (this.indexed !== null) {
       const goesOn = (): boolean => !this.closed && turn === this.aheadTurn; // what was read ahead may be given up
@@ -212,6 +225,32 @@ class OpenStream implements SceneStream {
       count = this.table.length;
       await this.walkTo(count + WALKED_AT_ONCE, undefined, end);
     }
+  }
+
+  /** Whether enough of the base is there to read something else. */
+  private hasBase(from: number): boolean {
+    const start = this.table.offset(from);
+    return start < 0 || holds(this.source, start, this.baseEnd(from, BASE_SECONDS_AT_LEAST) - start);
+  }
+
+  /** Where the base's packets end, so many seconds on, or with a frame's segment. */
+  private baseEnd(frame: number, seconds: number): number {
+    const later = frame + Math.ceil(seconds * (this.header.fps ?? USUAL_FPS));
+    const last = Math.min(this.table.segmentEnd(frame) - 1, later);
+    const offset = this.table.offset(last);
+    return offset < 0 ? Infinity : offset + this.table.entries[last].bytes;
+  }
+
+  keepWithin(budget: Budget): void {
+    this.layers.budget = budget;
+  }
+
+  async refine(frame: number): Promise<boolean> {
+    await this.indexRead;
+    if (this.closed || this.indexed === null || !this.layers.wanted || frame >= this.table.length) return false;
+    if (this.ahead && !this.hasBase(frame)) return false;
+    await this.layers.fetch(this.table, frame);
+    return !this.closed;
   }
 
   async sound(from: number, to: number): Promise<SoundFrame[]> {
@@ -283,7 +322,13 @@ class OpenStream implements SceneStream {
     this.target = index;
     let shown = this.canStepTo(index) ? this.shown! : await this.jump(index, signal);
     while (shown.frame < index) shown = await this.stepOn(shown, signal);
-    return this.sceneFrame(shown);
+    const refined = this.held === null && this.layers.wanted ? await this.refined(index, signal) : null;
+    return this.sceneFrame(shown, refined);
+  }
+
+  /** With all layers, where they have come. */
+  private refined(index: number, signal?: AbortSignal): Promise<Refined | null> {
+    return this.layers.reach(this.table, index, (frame) => this.packet(frame, signal));
   }
 
   /** Whether to go on from the frame that is shown; else a keyframe lies between, or the frame lies before. */
@@ -319,7 +364,9 @@ class OpenStream implements SceneStream {
   private readBehind(frame: number): void {
     const { table } = this;
     const end = table.offset(frame) + table.entries[frame].bytes;
-    this.source.prefetch(end, AHEAD_BYTES).catch(() => undefined); // whoever needs the bytes says what goes wrong
+    if (this.layers.wanted && this.hasBase(frame)) return;
+    const length = this.layers.wanted ? this.baseEnd(frame, BASE_SECONDS) - end : AHEAD_BYTES;
+    this.source.prefetch(end, Math.min(AHEAD_BYTES, length)).catch(() => undefined); // whoever needs the bytes says what goes wrong
   }
 
   private noKeyBefore(index: number): StreamError {
@@ -382,15 +429,20 @@ class OpenStream implements SceneStream {
     }
   }
 
-  private sceneFrame({ frame, step }: Shown): SceneFrame {
+  private sceneFrame({ frame, step }: Shown, refined: Refined | null): SceneFrame {
     const { kind, bytes } = this.table.entries[frame];
-    const gaussians = { ...this.decoder.gaussians, lastChanged: this.ages.frames };
-    const { changed, added, removed, corrections } = step;
+    const gaussians = refined?.gaussians ?? { ...this.decoder.gaussians, lastChanged: this.ages.frames };
+    const { corrections } = step;
+    const { changed, added, removed } = refined?.step ?? step;
+    const layer = refined === null ? 0 : 1;
     const damage =
       this.held === null ? null : `frame ${frame} shows frame ${this.decoder.frame ?? 0}: ${this.held.sentence}`;
-    const changedRows = this.changes.take(gaussians.count);
+    const own = this.changes.take(this.decoder.gaussians.count);
+    const changedRows = layer === this.layer ? (refined === null ? own : refined.changedRows) : null;
+    if (refined === null) this.layers.interrupted();
+    this.layer = layer;
     const shownKind = this.held === null ? kind : null;
-    return { frame, kind: shownKind, bytes, damage, gaussians, changedRows, changed, added, removed, corrections };
+    return { frame, kind: shownKind, bytes, layer, damage, gaussians, changedRows, changed, added, removed, corrections };
   }
 
   private checkOpen(): void {

@@ -1,7 +1,7 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
 import type { PinholeCamera } from "../geometry/camera";
 import type { SceneFrame, SceneStream } from "../scene";
-import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type DepthRow, type DrawOrder, type ExactPicture, type FrameInfo, type FrameTable, type FromWorker, type Opening, type SceneUpdate, type ToWorker } from "../messages";
+import { FRAME_KINDS, TEXTURE_WIDTH, textureLines, type Budget, type DepthRow, type DrawOrder, type ExactPicture, type FrameInfo, type FrameTable, type FromWorker, type Opening, type SceneUpdate, type ToWorker } from "../messages";
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
 import { Detail } from "./detail";
@@ -17,6 +17,8 @@ type PlyMaker = typeof plyOf;
 export type Send = (message: FromWorker, transfer?: Transferable[]) => void;
 
 const PROGRESS_MS = 100;
+/** After which a frame is taken to stay. */
+const STAYS_MS = 150;
 const EMPTY_ORDER: DrawOrder = { order: new Uint32Array(0), count: 0, sortMs: 0, serial: 0 };
 
 export class StreamWorker {
@@ -43,6 +45,7 @@ export class StreamWorker {
   private sortDue = false;
   private follow = false;
   private sparing = false;
+  private budget: Budget = {};
 
   constructor(
     private readonly openStream: OpenStream,
@@ -69,6 +72,10 @@ export class StreamWorker {
       case "detail":
         this.detail.share = message.share;
         this.sortSoon();
+        return;
+      case "budget":
+        this.budget = message.budget;
+        this.stream?.keepWithin(this.budget);
         return;
       case "refresh":
         void this.refresh();
@@ -110,6 +117,7 @@ export class StreamWorker {
       const complete = this.isComplete(stream);
       const layout = textureLayout(header.shDegree);
       this.stream = stream;
+      stream.keepWithin(this.budget);
       this.packed = new PackedScene(layout, this.buffers);
       const frames = this.newFrames() ?? { from: 0, kinds: new Uint8Array(0), bytes: new Uint32Array(0) };
       this.send({ type: "opened", header, layout, frames, complete });
@@ -144,6 +152,7 @@ export class StreamWorker {
         this.send({ type: "frame", request, info, update, draw }, transfers(draw, update));
         this.tellProgress();
         if (request > 0 || !this.sparing) void this.prefetch(stream, frame + 1);
+        if (scene.layer === 0) this.refineSoon(stream, scene);
       } catch (error) {
         if (request === 0 && frame >= stream.frames.length) this.send({ type: "notYet" });
         else if (!this.abort.signal.aborted) this.send({ type: "failed", request, message: sentence(error) });
@@ -152,6 +161,35 @@ export class StreamWorker {
     }
     this.awaited = null;
     this.busy = false;
+  }
+
+  /** A frame that stays in the picture gets what refines it. */
+  private refineSoon(stream: SceneStream, scene: SceneFrame): void {
+    if (stream.header.layers.length === 0) return;
+    const stays = (): boolean => this.stream === stream && this.frame === scene && this.wanted === null;
+    setTimeout(() => {
+      if (!stays()) return;
+      stream.refine(scene.frame).then((any) => {
+        if (any && stays()) void this.showRefined(stream, scene.frame);
+      }, () => undefined); // the base is there
+    }, STAYS_MS);
+  }
+
+  private async showRefined(stream: SceneStream, frame: number): Promise<void> {
+    if (this.busy || this.packed === null) return;
+    this.busy = true;
+    try {
+      const scene = await stream.frame(frame);
+      const update = this.packed.take(scene);
+      this.frame = scene;
+      const draw = this.sorted();
+      this.send({ type: "frame", request: -1, info: infoOf(scene, 0, 0), update, draw }, transfers(draw, update));
+    } catch {
+      // The frame itself has been shown.
+    }
+    this.busy = false;
+    this.answerHeld();
+    void this.showWanted();
   }
 
   private async prefetch(stream: SceneStream, from: number): Promise<void> {
@@ -326,9 +364,9 @@ export class StreamWorker {
 }
 
 function infoOf(scene: SceneFrame, decodeMs: number, packMs: number): FrameInfo {
-  const { frame, kind, bytes, damage, changed, added, removed, corrections } = scene;
+  const { frame, kind, bytes, layer, damage, changed, added, removed, corrections } = scene;
   const { count } = scene.gaussians;
-  return { frame, kind, bytes, damage, count, changed, added, removed, decodeMs, packMs, corrections };
+  return { frame, kind, bytes, layer, damage, count, changed, added, removed, decodeMs, packMs, corrections };
 }
 
 function transfers(draw: DrawOrder, update: SceneUpdate | null): Transferable[] {

@@ -17,7 +17,8 @@ const SAMPLE_MS = 200;
 const MOST_SECONDS = 90;
 /** Bytes a second: of a link, or `times` those of the stream. `gone`: from so many seconds on, for so many, nothing answers. */
 const LINKS = [
-  { name: "1.0 times the stream's rate", times: 1 },
+  { name: "0.5 times the stream's rate", times: 0.5 },
+  { name: "1.0 times", times: 1 },
   { name: "1.2 times", times: 1.2 },
   { name: "2 times", times: 2 },
   { name: "2 Mbit/s", rate: 2e6 / 8 },
@@ -32,11 +33,15 @@ function begin(address) {
   const begun = performance.now();
   const now = () => (performance.now() - begun) / 1000;
   const shown = [];
+  const layers = [];
   const waits = [];
   player.addEventListener("loadedmetadata", () => {
     player[Symbol.for("decogs.inside")].stage.renderer.draw = () => undefined;
   });
-  player.addEventListener("timeupdate", () => shown.push(now()));
+  player.addEventListener("timeupdate", () => {
+    shown.push(now());
+    layers[player.info?.frame ?? 0] = player.info?.layer ?? 0;
+  });
   player.addEventListener("waiting", () => waits.push({ from: now(), to: Infinity }));
   player.addEventListener("playing", () => waits.length > 0 && (waits.at(-1).to = Math.min(waits.at(-1).to, now())));
   globalThis.sample = () => {
@@ -45,7 +50,7 @@ function begin(address) {
     const come = bufferedFrames.find(([from, to]) => from <= next && to > next)?.[1] ?? next;
     return { at: now(), shown: next / fps, come: come / fps, over: ended || error !== null };
   };
-  globalThis.told = () => ({ shown, waits });
+  globalThis.told = () => ({ shown, waits, layers });
   player.setAttribute("autoplay", "");
   player.src = address;
 }
@@ -84,7 +89,7 @@ async function played(browser, server, { gone = [Infinity, 0], ...link }) {
   const told = await tab.evaluate(() => globalThis.told());
   await tab.context().close();
   const waits = told.waits.map(({ from, to }) => ({ from, to: Math.min(to ?? Infinity, samples.at(-1).at) }));
-  return { samples, first: told.shown[0], waits, still: told.shown.slice(1).reduce((most, at, i) => Math.max(most, at - told.shown[i]), 0) };
+  return { samples, first: told.shown[0], waits, layers: told.layers.filter((layer) => layer !== null), still: told.shown.slice(1).reduce((most, at, i) => Math.max(most, at - told.shown[i]), 0) };
 }
 
 const server = await served({ page: resolve(page), data: dirname(resolve(stream)) });
@@ -93,11 +98,11 @@ try {
   const seconds = await secondsOf(browser, server);
   const runs = [];
   console.log(`${basename(stream)}: ${seconds} s, ${((8e-6 * SIZE) / seconds).toFixed(2)} Mbit/s\n`);
-  console.log("| link | first picture after | stalls after the start | longest | longest time without a new frame |\n|---|---|---|---|---|");
+  console.log("| link | first picture after | stalls after the start | longest | longest time without a new frame | frames in all layers |\n|---|---|---|---|---|---|");
   for (const { name, times, rate = (times * SIZE) / seconds, ...link } of LINKS) {
     const run = await played(browser, server, { rate, ...link });
     const longest = Math.max(0, ...run.waits.map(({ from, to }) => to - from));
-    console.log(`| ${name} | ${run.first.toFixed(2)} s | ${run.waits.length} | ${longest.toFixed(1)} s | ${run.still.toFixed(2)} s |`);
+    console.log(`| ${name} | ${run.first.toFixed(2)} s | ${run.waits.length} | ${longest.toFixed(1)} s | ${run.still.toFixed(2)} s | ${run.layers.filter((layer) => layer > 0).length} of ${run.layers.length} |`);
     runs.push({ name, ...run });
   }
   writeFileSync(picture, curves(runs, seconds, SIZE));

@@ -33,10 +33,10 @@ export class FakeWorker {
 }
 
 export const header = (changed: Partial<StreamHeader> = {}): StreamHeader =>
-  ({ cameras: [], fps: 30, sound: [], presentation: { title: "", poster: null, firstView: null, transform: null }, ...changed }) as unknown as StreamHeader;
+  ({ cameras: [], fps: 30, sound: [], layers: [], presentation: { title: "", poster: null, firstView: null, transform: null }, ...changed }) as unknown as StreamHeader;
 
 export const info = (frame: number, changed: Partial<FrameInfo> = {}): FrameInfo =>
-  ({ frame, kind: "delta", bytes: 100, damage: null, count: 1, changed: 0, added: 0, removed: 0, decodeMs: 1, packMs: 0, corrections: new Map(), ...changed });
+  ({ frame, kind: "delta", bytes: 100, layer: 0, damage: null, count: 1, changed: 0, added: 0, removed: 0, decodeMs: 1, packMs: 0, corrections: new Map(), ...changed });
 
 export const frameTable = (count: number, from = 0) => ({ from, kinds: new Uint8Array(count - from), bytes: new Uint32Array(count - from) });
 

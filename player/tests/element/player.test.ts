@@ -98,6 +98,17 @@ test("an element in a page opens its stream, with what its attributes say of it"
   assert.deepEqual([last("open").sparing, last("open").follow, last("open").credentials], [false, false, undefined]);
 });
 
+test("layers are kept within what the page says, from the next frame on", () => {
+  const player = put({ src: "a.dgs", "max-gaussians": "50000" });
+  assert.deepEqual(last("budget").budget, { gaussians: 50_000 });
+  player.maxBitrate = 2e6;
+  assert.deepEqual(last("budget").budget, { gaussians: 50_000, bitsPerSecond: 2e6 });
+  player.maxGaussians = null;
+  assert.deepEqual(last("budget").budget, { bitsPerSecond: 2e6 });
+  player.setAttribute("max-bitrate", "many");
+  assert.deepEqual([last("budget").budget, player.maxBitrate], [{}, null]);
+});
+
 test("outside of a page nothing is opened; another address opens another stream", () => {
   const player = new DecogsPlayer();
   player.src = "a.dgs";

@@ -650,6 +650,17 @@ test("a file that grows is looked at every second, until it is whole", () => {
   assert.equal(left.worker.asked("refresh").length, 0, "another stream is open");
 });
 
+test("another layer is told, and no first one", () => {
+  const of = ready();
+  const told = (): number => of.events.filter((name) => name === "layerchange").length;
+  assert.equal(told(), 0);
+  of.show(0, -1, { layer: 1 });
+  of.show(1, 0, { layer: 1 });
+  assert.equal(told(), 1);
+  of.show(2, 0, { layer: 0 });
+  assert.equal(told(), 2);
+});
+
 test("an error pauses, is told, and is tried again by whoever plays", async () => {
   const of = ready();
   void of.session.play();
