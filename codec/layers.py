@@ -94,10 +94,10 @@ def _advanced(
     state: State | None, packet: Packet, header: StreamHeader, first: State | None, max_gaussians: int
 ) -> tuple[State, Changes]:
     """A block after a packet of its own; other than a keyframe's, its digest is of values that only its layer has."""
-    if packet.kind == PacketKind.KEY or state is None:
+    if state is None:
         payload = FramePayload({}, packet)
         return reconstruct_frame(None, payload, header, first=first, max_gaussians=max_gaussians)[:2]
-    if packet.frame != state.frame + 1:
+    if packet.frame != state.frame + 1 or packet.kind == PacketKind.KEY:
         _refuse(packet, Reason.FRAME_ORDER, f"frame {packet.frame} follows frame {state.frame}")
     if packet.kind == PacketKind.SKIP:
         return replace(state, frame=packet.frame), Changes(0, 0, 0)

@@ -128,10 +128,8 @@ def decode(
                 on_frame=on_frame,
                 on_warning=on_warning,
             )
-    with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning, layer=layer) as (
-        opened,
-        every,
-    ):
+    chosen_stream = open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning, layer=layer)
+    with chosen_stream as (opened, every):
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count, max_memory)
         shown: AnyStream = opened
         if subject is not None:

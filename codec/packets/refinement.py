@@ -41,11 +41,6 @@ def write_refinement(digest: int, alignments: Sequence[bytes], kind: PacketKind,
     return b"".join([*parts, block])
 
 
-def layer_of(packet: Packet) -> int:
-    """The layer that a REFINE packet is of; raises StreamError."""
-    return packet.cursor().u8()
-
-
 def read_refinement(packet: Packet) -> Refinement:
     """The parts of a REFINE packet; raises StreamError."""
     cursor = packet.cursor()

@@ -29,12 +29,8 @@ def lamp_light(correction: Correction, across: Shares, down: Shares) -> FloatArr
 
 def lamp_waves(lamp: LampWave, across: Shares, down: Shares) -> tuple[F64, F64]:
     """The lamps' wave (..., 3) at phase 0 and a quarter of a turn later, between which that at any phase lies."""
-    turn = (
-        2
-        * np.pi
-        * lamp.turns
-        * np.broadcast_to(down.astype(np.float64), np.broadcast_shapes(across.shape, down.shape))[..., None]
-    )
+    rows = np.broadcast_to(down.astype(np.float64), np.broadcast_shapes(across.shape, down.shape))
+    turn = 2 * np.pi * lamp.turns * rows[..., None]
     sine, cosine = (_between(cells, across, down) for cells in lamp.maps)
     first = sine * np.sin(turn) + cosine * np.cos(turn)
     second = sine * np.cos(turn) - cosine * np.sin(turn)
