@@ -43,13 +43,18 @@ class FrameWriter:
         self._first_source_state: State | None = None
         self.frames = self.kept = 0
         self.is_empty, self.is_skipped = True, False
-        self.order: Rows = np.zeros(0, np.int64)
+        self._ids: Rows = np.zeros(0, np.int64)
 
     @property
     def state(self) -> State:
         """The scene of the last frame, as it was written; its rows are those of that frame in their ``order``."""
         assert self._state is not None
         return self._state
+
+    @property
+    def order(self) -> Rows:
+        """The rows of the last frame in the order of the ids under which they were written."""
+        return np.argsort(self._ids)
 
     def write(self, frame: Frame) -> None:
         """Appends a frame; the first one is a keyframe whatever it was. Raises StreamError for what no packet holds."""
@@ -61,7 +66,7 @@ class FrameWriter:
             is_changed=frame.coded is not None and not same_scene(frame.coded.after, frame.state),
         )
         in_order = bool((ids[1:] > ids[:-1]).all())
-        self.order = np.arange(len(ids)) if in_order else np.argsort(ids)
+        self._ids = ids
         after = _with_ids(frame.state, ids, self._names.next_id, in_order, self.frames)
         body = self._as_it_was(frame, after, is_key) if in_order else None
         self.kept += body is not None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter
 from typing import BinaryIO
 
 from decogs.codec.header.header import StreamHeader
@@ -58,16 +60,19 @@ class Refiner:
         before: Sequence[State] | None,
         first: Callable[[], Sequence[State]],
         max_gaussians: int,
-    ) -> LayeredScene:
-        """The frame of a ``base`` packet. ``before``: the blocks of the one before, None at a keyframe.
+    ) -> tuple[LayeredScene, int]:
+        """The frame of a ``base`` packet, and the bytes of its refinements on disk.
+
+        ``before``: the blocks of the frame before, None at a keyframe.
 
         ``first``: each layer's Gaussians in the first keyframe, asked for where a keyframe refers to it. Raises
         StreamError.
         """
         refinements = [self._refinement(base.frame, layer) for layer in range(1, self.top + 1)]
-        blocks = [base, *(each.block for each in refinements if each is not None)]
-        known = first() if any(map(refers_to_first, blocks)) else ()
-        return refine(before, base, refinements, self._header, first=known, max_gaussians=max_gaussians)
+        there = [each.block for each in refinements if each is not None]
+        known = first() if any(map(refers_to_first, (base, *there))) else ()
+        scene = refine(before, base, refinements, self._header, first=known, max_gaussians=max_gaussians)
+        return scene, sum(block.size for block in there)
 
     def own_blocks(self, keyframe: int, max_gaussians: int) -> list[State]:
         """The layers' own Gaussians above the base in a keyframe that does not refer to another. Raises StreamError."""
@@ -77,12 +82,6 @@ class Refiner:
             for each in refinements
             if each is not None
         ]
-
-    def bytes_of(self, frame: int) -> int:
-        """Of the frame's refinements up to the top layer, on disk."""
-        lies = self._lies_of(frame)
-        entries = [lies[frame, layer] for layer in range(1, self.top + 1) if (frame, layer) in lies]
-        return sum(end_of_packet(self._file, entry.offset) - entry.offset for entry in entries)
 
     def _refinement(self, frame: int, layer: int) -> Refinement | None:
         lies = self._lies_of(frame)
@@ -102,7 +101,7 @@ class Refiner:
             begin, following = survey.keyframe_before(frame + 1), survey.keyframe_after(frame)
             end = survey.frame_count if following is None else following
             self._segment, self._lies = range(begin or 0, end), {}
-            last = max((entry for entry in survey.entries if entry.frame < end), key=lambda entry: entry.offset)
+            last = survey.entries[bisect_left(survey.entries, end, key=attrgetter("frame")) - 1]
             after = None if following is None else survey.entry(following)
             start = end_of_packet(self._file, last.offset)
             for entry in refinements_between(self._file, start, None if after is None else after.offset):

@@ -1,7 +1,7 @@
 """A take in two layers: a base that stands alone, and all of it (SPEC.md, "Layers").
 
-The offset of a Gaussian's values in the base holds for a round, which ends at a keyframe or after some 60 frames:
-values drift apart from what they were trained with. Who is in the base stays there.
+A take is trained in rounds of some 60 frames, or of a segment. Who is in the base stays there, and so do the offsets of
+its values from those of the whole scene, unless it moves: then values drift apart from what they were trained with.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class _Sample:
 def layered(take: Take, share: float) -> Take:
     """The take with a base of about this ``share`` of its Gaussians. Raises UsageError for frames without any.
 
-    All frames are read, once; training takes some seconds for each round.
+    All frames are read once for that; training takes some seconds for each round.
     """
     maker = _RoundMaker(take, share)
     rounds: list[_Round] = []

@@ -62,10 +62,10 @@ export class FrameTable {
     return this.causes.get(frame) ?? new StreamError("frame-order", `the packet of frame ${frame} is missing`);
   }
 
-  /** Up to, not including, which frame a frame's segment goes. */
-  segmentEnd(frame: number): number {
+  /** Up to, not including, which frame a frame's segment goes, `most` at most. */
+  segmentEnd(frame: number, most = this.length): number {
     let end = frame + 1;
-    while (end < this.length && this.entries[end].kind !== "key") end++;
+    while (end < Math.min(most, this.length) && this.entries[end].kind !== "key") end++;
     return end;
   }
 

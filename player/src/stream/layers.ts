@@ -60,7 +60,7 @@ export class Layers {
    */
   async reach(table: FrameTable, frame: number, packet: (frame: number) => Promise<FramePacket>): Promise<Refined | null> {
     const begin = this.begin(table, frame);
-    if (begin === null || !this.isHere(table, begin, frame)) return null;
+    if (begin === null || !this.areHere(table, begin, frame)) return null;
     let step = NOTHING;
     let at = begin;
     try {
@@ -107,7 +107,8 @@ export class Layers {
     if (begin === null) return null;
     const end = table.segmentEnd(from);
     let missing = begin;
-    while (missing < end && this.isHere(table, missing, missing)) missing++;
+    const { held } = this.source;
+    while (missing < end && isHere(table, held, missing)) missing++;
     return this.spanOf(table, missing, end);
   }
 
@@ -119,11 +120,9 @@ export class Layers {
     return at !== null && at >= key && at <= frame ? at + 1 : key;
   }
 
-  private isHere(table: FrameTable, begin: number, frame: number): boolean {
-    for (let at = begin; at <= frame; at++) {
-      const place = table.refinements.get(at);
-      if (place === undefined ? table.entries[at].kind !== "skip" : !holds(this.source, place.offset, place.bytes)) return false;
-    }
+  private areHere(table: FrameTable, begin: number, frame: number): boolean {
+    const { held } = this.source;
+    for (let at = begin; at <= frame; at++) if (!isHere(table, held, at)) return false;
     return true;
   }
 
@@ -167,7 +166,13 @@ export class Layers {
   }
 }
 
-/** Whether a range can be read without waiting. */
-export function holds(source: ByteSource, offset: number, bytes: number): boolean {
-  return source.held === undefined || source.held.some(([from, to]) => from <= offset && to >= offset + bytes);
+/** Whether the refinement of a frame has come, or there is none to come. */
+function isHere(table: FrameTable, held: ByteSource["held"], frame: number): boolean {
+  const place = table.refinements.get(frame);
+  return place === undefined ? table.entries[frame].kind === "skip" : holds(held, place.offset, place.bytes);
+}
+
+/** Whether a range is among what is held; `held` undefined: the source has all bytes. */
+export function holds(held: ByteSource["held"], offset: number, bytes: number): boolean {
+  return held === undefined || held.some(([from, to]) => from <= offset && to >= offset + bytes);
 }

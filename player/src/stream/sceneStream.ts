@@ -211,7 +211,7 @@ class OpenStream implements SceneStream {
     if (!(this.layers.wanted && this.hasBase(from))) {
       await Promise.all([this.source.prefetch(start, length), this.walkAhead(start + length, turn)]);
     }
-    if (this.indexed !== null && this.hasBase(from)) await this.layers.readOn(this.table, from);
+    if (this.layers.wanted && this.indexed !== null && this.hasBase(from)) await this.layers.readOn(this.table, from);
     // Where there is an index, nobody walks along the packets.
     if (this.indexed !== null) {
       const goesOn = (): boolean => !this.closed && turn === this.aheadTurn; // what was read ahead may be given up
@@ -230,13 +230,13 @@ class OpenStream implements SceneStream {
   /** Whether enough of the base is there to read something else. */
   private hasBase(from: number): boolean {
     const start = this.table.offset(from);
-    return start < 0 || holds(this.source, start, this.baseEnd(from, BASE_SECONDS_AT_LEAST) - start);
+    return start < 0 || holds(this.source.held, start, this.baseEnd(from, BASE_SECONDS_AT_LEAST) - start);
   }
 
   /** Where the base's packets end, so many seconds on, or with a frame's segment. */
   private baseEnd(frame: number, seconds: number): number {
     const later = frame + Math.ceil(seconds * (this.header.fps ?? USUAL_FPS));
-    const last = Math.min(this.table.segmentEnd(frame) - 1, later);
+    const last = this.table.segmentEnd(frame, later + 1) - 1;
     const offset = this.table.offset(last);
     return offset < 0 ? Infinity : offset + this.table.entries[last].bytes;
   }
