@@ -17,6 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from decogs.codec.header.profiles import PROFILES
 from decogs.formats.cli.command_line import (
     Parser,
     colour,
@@ -222,6 +223,12 @@ def info_parser() -> Parser:
         action="store_true",
         help="print bytes instead, by frame and attribute",
     )
+    parser.add_argument(
+        "--profile",
+        choices=list(PROFILES),
+        metavar="PROFILE",
+        help=f"fail unless the stream, or its base, keeps within it: {', '.join(PROFILES)}",
+    )
     parser.add_quiet()
     _add_trust(parser)
     return parser
@@ -385,6 +392,8 @@ def _info(options: argparse.Namespace) -> None:
         facts = info(
             whole_file(options.stream), strict=options.strict, max_memory=options.max_memory, on_frame=on_frame
         )
+    if options.profile is not None:
+        facts.check(PROFILES[options.profile])
     if options.json:
         print_text(json.dumps(facts.to_json(), indent=2))
     else:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from decogs.codec.header.profiles import PROFILES, Profile
 from decogs.formats.cli.command_line import (
     Parser,
     counted,
@@ -31,6 +32,7 @@ from decogs.rig.mattes.options import add_matte_options, matte_choice
 from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
 
 if TYPE_CHECKING:
+    from decogs.decoder.editing.operations.base import Operation
     from decogs.formats.rigs import Rig
 
     from .job.job import EncodeJob
@@ -183,6 +185,13 @@ def _add_long_takes(group: argparse._ArgumentGroup) -> None:
         help="write the finished stream as a base that plays alone, and what makes it whole (decogs-edit layer)",
     )
     group.add_argument(
+        "--profile",
+        choices=list(PROFILES),
+        metavar="PROFILE",
+        help=f"for which players: {', '.join(PROFILES)}; bounds Gaussians, SH degree and bytes a second, with --layers "
+        "the base's, and says so in the stream",
+    )
+    group.add_argument(
         "--resume", action="store_true", help="continue SCENE.DGS.part, or SCENE.DGS, of an interrupted encode"
     )
     group.add_argument(
@@ -254,30 +263,37 @@ def _add_research(group: argparse._ArgumentGroup) -> None:
 
 
 def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
-    if options.layers:
-        _check_layers(options)
+    operations = _finishing(options)
     if options.cluster is not None:
         code = _encode_on_cluster(parser, options)
     elif options.only is not None:
         return retryable(parser, lambda: _encode(parser, options))
     else:
         code = _encode(parser, options)
-    return code or _put_in_layers(parser, options) if options.layers else code
+    return code or _finish(parser, options, operations) if operations else code
 
 
-def _check_layers(options: argparse.Namespace) -> None:
-    """Raises UsageError for outputs that are never finished here."""
-    for name, value in {"only": options.only, "output": "-" if options.output == "-" else None}.items():
-        if value is not None:
-            raise UsageError(f"`layers`: they are made of a finished stream, so not with `{name}` {value}; use `edit`")
+def _finishing(options: argparse.Namespace) -> list[Operation]:
+    """What is done to the finished stream. Raises UsageError for outputs that are never finished here."""
+    from decogs.decoder.editing.operations.layer import MakeLayers
+    from decogs.decoder.editing.operations.profile import KeepProfile
+
+    operations: dict[str, Operation] = {"layers": MakeLayers()} if options.layers else {}
+    if options.profile is not None:
+        operations["profile"] = KeepProfile(options.profile)
+    for asked in operations:
+        for name, value in {"only": options.only, "output": "-" if options.output == "-" else None}.items():
+            if value is not None:
+                raise UsageError(f"`{asked}`: needs a finished stream, so not with `{name}` {value}; use `edit`")
+    return list(operations.values())
 
 
-def _put_in_layers(parser: Parser, options: argparse.Namespace) -> int:
-    from .layering.finished import put_in_layers
+def _finish(parser: Parser, options: argparse.Namespace, operations: Sequence[Operation]) -> int:
+    from .layering.finished import finish_stream
 
-    with progress("making layers", quiet=options.quiet) as on_frame:
-        report = put_in_layers(options.output, on_frame=on_frame, on_warning=warn_as(parser))
-    print_text("\n".join((*report.notes, f"{printable(options.output)}: in layers, {report.file_bytes} bytes")))
+    with progress("finishing", quiet=options.quiet) as on_frame:
+        report = finish_stream(options.output, operations, on_frame=on_frame, on_warning=warn_as(parser))
+    print_text("\n".join((*report.notes, f"{printable(options.output)}: finished, {report.file_bytes} bytes")))
     return 0
 
 
@@ -335,7 +351,14 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
         only=frame_range(options.only),
         mattes=matte_choice(options),
         switches=Switches(options.method, names(options.ablate), options.selection),
-        targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
+        targets=Targets(
+            options.quality,
+            bytes_per_frame,
+            options.lossless,
+            seconds,
+            options.target_psnr,
+            _profile_of_all(options),
+        ),
         **{name: getattr(options, name) for name in same},
     )
     return job, option_names
@@ -400,7 +423,7 @@ def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[
     asked for."""
     from decogs.formats.rigs import open_rig
 
-    bitrate, megabytes = options.bitrate, options.max_mb_per_frame
+    bitrate, megabytes, profile = options.bitrate, options.max_mb_per_frame, _profile_of_all(options)
     if bitrate is not None and megabytes is not None:
         raise UsageError("--bitrate and --max-mb-per-frame are one budget in two units; drop one of the two")
     given = _rig(options)
@@ -409,11 +432,22 @@ def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[
         if rig.fps is None:
             raise UsageError(f"--bitrate: {rig.path} states no frame rate; use --max-mb-per-frame")
         return rig, *_asked(bitrate * 1000 / 8 / rig.fps, "--bitrate", bitrate)
+    if profile is not None and megabytes is None and not options.lossless:
+        rig = open_rig(given) if isinstance(given, str) else given
+        if rig.fps is None:
+            raise UsageError(f"`profile` {profile.name}: {rig.path} states no frame rate, so none a second")
+        return rig, *_asked(profile.bytes_per_second / rig.fps, "--profile", profile.name)
     if megabytes is not None:
         return given, *_asked(megabytes * 1e6, "--max-mb-per-frame", megabytes)
     return given, None, {"`bytes_per_frame`": "--max-mb-per-frame or --bitrate"}
 
 
-def _asked(bytes_per_frame: float, option: str, value: float) -> tuple[float, dict[str, str]]:
-    option_names = {f"`bytes_per_frame` {bytes_per_frame:g}": f"{option} {value:g}", "`bytes_per_frame`": option}
+def _profile_of_all(options: argparse.Namespace) -> Profile | None:
+    """The profile that bounds the whole scene: in layers, it bounds the base."""
+    return None if options.profile is None or options.layers else PROFILES[options.profile]
+
+
+def _asked(bytes_per_frame: float, option: str, value: float | str) -> tuple[float, dict[str, str]]:
+    text = value if isinstance(value, str) else f"{value:g}"
+    option_names = {f"`bytes_per_frame` {bytes_per_frame:g}": f"{option} {text}", "`bytes_per_frame`": option}
     return bytes_per_frame, option_names

@@ -30,6 +30,7 @@ from ..packets.sound import SoundTrack, read_sound_tracks
 from ..scene.lattice import Lattice, Vector
 from .layer_list import Layer, read_layers
 from .presentation import Presentation, read_presentation
+from .profiles import read_profiles
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_CAMERAS = 1024
@@ -75,7 +76,8 @@ class StreamHeader:
     encoder's own, for people, never needed for decoding; ``subject``: the scene is a subject without its surroundings,
     its alpha what it covers; ``presentation``: how it wants to be shown; ``sound``: the tracks that are played
     together, which packets beside the frames hold; ``layers``: the base and what refines it, none where the frames'
-    packets hold the whole scene.
+    packets hold the whole scene; ``profiles``: of each layer, or the one, the first profile that it keeps within, empty
+    for none; nothing where that is not said.
     """
 
     cameras: tuple[Camera, ...]
@@ -98,6 +100,7 @@ class StreamHeader:
     presentation: Presentation = field(default_factory=Presentation)
     sound: tuple[SoundTrack, ...] = ()
     layers: tuple[Layer, ...] = ()
+    profiles: tuple[str, ...] = ()
 
     @property
     def near_planes(self) -> dict[str, float]:
@@ -129,6 +132,7 @@ class StreamHeader:
             **({"layers": [layer.as_document() for layer in self.layers]} if self.layers else {}),
             "licence": self.licence,
             **({"presentation": shown} if (shown := self.presentation.as_document()) else {}),
+            **({"profiles": list(self.profiles)} if self.profiles else {}),
             "settings": dict(self.settings),
             "sh_degree": self.sh_degree,
             **({"sound": [track.as_document() for track in self.sound]} if self.sound else {}),
@@ -149,6 +153,8 @@ class StreamHeader:
             _refuse("sound is out of its bounds, or lacks a frame rate of at least 1")
         if read.layers != self.layers:
             _refuse("layers are out of their bounds")
+        if read.profiles != self.profiles:
+            _refuse("profiles are not as many as layers")
         return payload
 
     @staticmethod
@@ -184,6 +190,8 @@ class StreamHeader:
             header = replace(header, sound=read_sound_tracks(fields.value("sound"), header.fps))
         if fields.has("layers"):
             header = replace(header, layers=read_layers(fields.value("layers")))
+        if fields.has("profiles"):
+            header = replace(header, profiles=read_profiles(fields.value("profiles"), max(1, len(header.layers))))
         if len(set(names)) != len(names):
             _refuse("two cameras have the same name")
         if not set(header.held_out) <= set(names):

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import io
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 
 from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.profiles import PROFILES
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.files.outputs import PNG, STREAM, GrowingFile, Output, check_outputs, errors_named, is_device
-from decogs.formats.stream.container import LAYERED_VERSION, PacketKind, StreamWriter
+from decogs.formats.stream.container import LAYERED_VERSION, VERSION, PacketKind, StreamWriter
 from decogs.formats.system.callbacks import OnProgress, OnWarning
 
 from ..limits import DEFAULT_MAX_MEMORY
 from .layers import LayerWriter
+from .measuring import Meter, Nowhere
 from .operations.base import Operation
 from .recipe import read_recipe
 from .take import Frame, Take, open_take
@@ -27,9 +28,6 @@ from .writing import FrameWriter
 MAX_OPERATIONS = 100
 """Of one edit: each of them reads frames through all those before it, one within the other. 300 `grade` of 11 000
 Gaussians keep 500 MB of scenes, 80 `crop` take 3 s a frame, and Python goes no deeper than some 900."""
-
-
-_Writer = TypeVar("_Writer", FrameWriter, LayerWriter)
 
 
 @dataclass(frozen=True)
@@ -118,24 +116,35 @@ class _Shown:
 
 
 def _written(take: Take, file: BinaryIO, shown: _Shown) -> tuple[StreamWriter, FrameWriter | LayerWriter]:
-    """The take in the file; one of layers is written twice, as its header says what they measure."""
-    if not take.header.layers:
-        return _packets(take, StreamWriter(file, take.header.to_bytes()), FrameWriter, shown)
-    _, measured = _packets(take, StreamWriter(_Nowhere(), b""), LayerWriter, shown)
-    layers = measured.layers(take.header.layers[0].psnr)
-    header = replace(take.header, layers=layers)
-    return _packets(take, StreamWriter(file, header.to_bytes(), LAYERED_VERSION), LayerWriter, shown)
+    """The take in the file; it is written twice where its header says what the packets measure."""
+    header = take.header if take.profile is None and not take.header.layers else _measured(take, shown)
+    return _packets(take, StreamWriter(file, header.to_bytes(), LAYERED_VERSION if header.layers else VERSION), shown)
 
 
-def _packets(
-    take: Take, writer: StreamWriter, frame_writer: Callable[[StreamHeader, StreamWriter], _Writer], shown: _Shown
-) -> tuple[StreamWriter, _Writer]:
-    frames = frame_writer(take.header, writer)
+def _measured(take: Take, shown: _Shown) -> StreamHeader:
+    """The header with what packets measure. Raises UsageError where they do not keep within the take's profile."""
+    header = take.header
+    meter = Meter(header)
+    _packets(take, meter, shown)
+    header = replace(header, layers=meter.layers())
+    if take.profile is None:
+        return header
+    loads = meter.loads()
+    if take.profile and (excess := loads[0].excess(PROFILES[take.profile])):
+        base = "the base" if header.layers else "the stream"
+        raise UsageError(f"profile {take.profile}: {base} does not keep within it: {excess}")
+    return replace(header, profiles=tuple(each.profile for each in loads))
+
+
+def _packets(take: Take, writer: StreamWriter, shown: _Shown) -> tuple[StreamWriter, FrameWriter | LayerWriter]:
+    frames = LayerWriter(take.header, writer) if take.header.layers else FrameWriter(take.header, writer)
     shown.total = take.frame_count
     for frame, sound in zip(take.read(0, take.frame_count), take.hear(0, take.frame_count), strict=True):
         frames.write(frame)
         for packet in sound:
             writer.write(PacketKind.SOUND, frames.frames - 1, packet.payload())
+        if isinstance(writer, Meter):
+            writer.count(frame)
         shown.to(frames.frames)
     frames.finish()
     writer.finish()
@@ -161,7 +170,7 @@ def _check_files(target: Path | BinaryIO | None, operations: Sequence[Operation]
 def _opened(target: Path | BinaryIO | None) -> Iterator[tuple[BinaryIO, Any]]:
     """The file to write into, and what gives it its name; without that, nothing is left of it."""
     if target is None:
-        yield _Nowhere(), lambda: None
+        yield Nowhere(), lambda: None
     elif not isinstance(target, Path) or is_device(target):
         file = target.open("wb") if isinstance(target, Path) else target
         with errors_named(str(target) if isinstance(target, Path) else "standard output"):
@@ -174,10 +183,3 @@ def _opened(target: Path | BinaryIO | None) -> Iterator[tuple[BinaryIO, Any]]:
             except BaseException:
                 growing.discard()
                 raise
-
-
-class _Nowhere(io.BytesIO):
-    """Takes bytes and forgets them."""
-
-    def write(self, data: Any) -> int:
-        return len(data)

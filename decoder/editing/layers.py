@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from decogs.codec.header.header import StreamHeader
-from decogs.codec.header.layer_list import Layer
 from decogs.codec.layers import union_digest
 from decogs.codec.packets.corrections import CorrectedCameras
 from decogs.codec.packets.deltas import apply_delta, difference
@@ -16,7 +14,7 @@ from decogs.codec.packets.keyframes import new_state
 from decogs.codec.packets.refinement import LAYER_IDS, write_refinement
 from decogs.codec.packets.syntax import write_delta
 from decogs.codec.scene.state import ARRAYS, Attributes, Rows, State, all_rows, part_of, take_rows
-from decogs.formats.stream.container import PACKET_OVERHEAD, PacketKind
+from decogs.formats.stream.container import PacketKind
 
 from .names import IdMap
 from .take import Frame
@@ -27,21 +25,19 @@ class LayerWriter:
     """Writes frames that have a base as packets of a stream in two layers, which ``sink`` gets.
 
     Refinements are held back up to the end of a segment: its frames' packets come first. ``finish`` brings the last.
-    ``frames``, ``kept`` and ``is_empty`` as of `FrameWriter`; ``most`` Gaussians and ``sizes`` in bytes, of the base
-    and of what refines it.
+    ``frames``, ``kept`` and ``is_empty`` as of `FrameWriter`.
     """
 
     kept = 0
 
     def __init__(self, header: StreamHeader, sink: PacketSink) -> None:
         self._sink, self._block_sink = sink, _Held()
-        self._base = FrameWriter(header, _Measured(sink, self._count_base), IdMap(begins_anew=True))
+        self._base = FrameWriter(header, sink, IdMap(begins_anew=True))
         uncorrected = replace(header, corrected=CorrectedCameras())
         self._rest = FrameWriter(uncorrected, self._block_sink, IdMap(LAYER_IDS, begins_anew=True))
         self._offsets: tuple[Rows, Attributes] | None = None
         self._pending: list[tuple[int, bytes]] = []
         self.is_empty = True
-        self.most, self.sizes = [0, 0], [0, 0]
 
     @property
     def frames(self) -> int:
@@ -65,8 +61,6 @@ class LayerWriter:
         if kind != PacketKind.SKIP or alignment or not self._base.is_skipped:
             payload = write_refinement(union_digest(blocks), [alignment], kind, body)
             self._pending.append((number, payload))
-            self.sizes[1] += PACKET_OVERHEAD + len(payload)
-        self.most = [max(self.most[0], len(aligned)), max(self.most[1], sum(map(len, blocks)))]
         self.is_empty = self.is_empty and not len(frame.state)
 
     def finish(self) -> None:
@@ -74,11 +68,6 @@ class LayerWriter:
         for number, payload in self._pending:
             self._sink.write(PacketKind.REFINE, number, payload)
         self._pending = []
-
-    def layers(self, psnr: float | None) -> tuple[Layer, Layer]:
-        """What the header says of both; ``psnr``: of the base."""
-        base, rest = (size / max(1, self.frames) for size in self.sizes)
-        return Layer(self.most[0], base, psnr), Layer(self.most[1], base + rest)
 
     def _aligned(self, values: Attributes) -> tuple[State, bytes]:
         """The base's Gaussians with their ``values`` in the whole scene, and the body that takes a reader there."""
@@ -104,9 +93,6 @@ class LayerWriter:
             array[known] += getattr(of_known, name)
         return new_state(Attributes(**values), own.frame, ids=own.ids, next_id=own.next_id)
 
-    def _count_base(self, size: int) -> None:
-        self.sizes[0] += size
-
 
 class _Held:
     """Keeps the last packet."""
@@ -115,14 +101,3 @@ class _Held:
 
     def write(self, kind: int, frame: int, payload: bytes) -> None:
         self.last = PacketKind(kind), payload
-
-
-class _Measured:
-    """Passes packets on, and says how large they are."""
-
-    def __init__(self, sink: PacketSink, tell: Callable[[int], None]) -> None:
-        self._sink, self._tell = sink, tell
-
-    def write(self, kind: int, frame: int, payload: bytes) -> None:
-        self._sink.write(kind, frame, payload)
-        self._tell(PACKET_OVERHEAD + len(payload))

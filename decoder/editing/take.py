@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.profiles import NO_PROFILE
 from decogs.codec.packets.corrections import Corrections
 from decogs.codec.packets.keyframes import new_state
 from decogs.codec.scene.state import ARRAYS, Attributes, State, all_rows, part_of, same_scene, take_rows
@@ -97,7 +98,8 @@ class Take:
 
     ``hear`` gives the frames' sound, as ``read`` does the frames.
     ``starts``: the frames at which segments begin, of which 0 is the first. ``sources``: the files that are read on the
-    way. ``notes``: what the operations so far have to say.
+    way. ``notes``: what the operations so far have to say. ``profile``: that which its base must keep within; empty
+    where the header is only to say which one it does, None where it says nothing of that.
     """
 
     header: StreamHeader
@@ -107,6 +109,7 @@ class Take:
     starts: tuple[int, ...] = (0,)
     sources: tuple[Path, ...] = ()
     notes: tuple[Note, ...] = ()
+    profile: str | None = None
 
     def with_note(self, note: Note | str) -> Take:
         """The same take with one more line to say."""
@@ -172,10 +175,11 @@ def open_take(
             on_warning(f"{path}: holds what this version does not know, which is left out: {', '.join(lost[:_NAMED])}")
         settings = {name: value for name, value in stream.stored_header.settings.items() if name not in _OF_THE_ENCODE}
         source = _Source(stream, base, number * OWN_IDS)
-        header = replace(stream.stored_header, settings=settings)
+        header = replace(stream.stored_header, settings=settings, profiles=())
+        profile = NO_PROFILE if stream.stored_header.profiles else None
         # The first keyframe of a damaged stream may be none that is left.
         starts = (0, *(frame for frame in stream.keyframes if frame))
-        yield Take(header, len(every), source.read, stream.sounds, starts, (Path(path),))
+        yield Take(header, len(every), source.read, stream.sounds, starts, (Path(path),), profile=profile)
 
 
 @dataclass(frozen=True, eq=False)

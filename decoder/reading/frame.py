@@ -5,6 +5,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,15 +64,15 @@ class DecodedFrame:
         before: DecodedFrame | None,
         first: State | None = None,
         blocks: tuple[State, ...] | None = None,
-        refinement_bytes: int = 0,
+        refinement_sizes: tuple[int, ...] = (),
     ) -> None:
         packet = payload.body
-        self.blocks, self._refinement_bytes = blocks, refinement_bytes
+        self.blocks, self._refinement_sizes = blocks, refinement_sizes
         self.index = packet.frame
         self.kind: PacketKind | None = PacketKind(packet.kind)
-        if refinement_bytes and self.kind == PacketKind.SKIP:
+        if refinement_sizes and self.kind == PacketKind.SKIP:
             self.kind = PacketKind.DELTA
-        self.packet_bytes = packet.size + refinement_bytes
+        self.packet_bytes = packet.size + sum(refinement_sizes)
         self.concealed: Damage | None = None
         self.corrections = payload.corrections
         self._payload: FramePayload | None = payload
@@ -132,7 +133,16 @@ class DecodedFrame:
         if self._payload is None:
             return {}
         costs = payload_costs(self._payload.body, self._coefficients, self._population_before)
-        return costs | {"refinement": self._refinement_bytes} if self._refinement_bytes else costs
+        return costs | {"refinement": sum(self._refinement_sizes)} if self._refinement_sizes else costs
+
+    @property
+    def layer_loads(self) -> list[tuple[int, int]]:
+        """Of each layer with those below, Gaussians and bytes on disk."""
+        if self.blocks is None:
+            return [(len(self.state), self.packet_bytes)]
+        sizes = self._refinement_sizes or (0,) * (len(self.blocks) - 1)
+        base = self.packet_bytes - sum(sizes)
+        return list(zip(accumulate(map(len, self.blocks)), accumulate((base, *sizes)), strict=True))
 
     def delta_from(self, state: State) -> Delta | None:
         """What this frame changed of ``state``; None unless it is a delta to that scene."""
@@ -155,10 +165,14 @@ def decode_frame(
 
 
 def layered_frame(
-    payload: FramePayload, scene: LayeredScene, size: int, before: DecodedFrame | None, header: StreamHeader
+    payload: FramePayload,
+    scene: LayeredScene,
+    sizes: tuple[int, ...],
+    before: DecodedFrame | None,
+    header: StreamHeader,
 ) -> DecodedFrame:
-    """The frame of a ``scene`` in layers, whose refinements have ``size`` bytes on disk."""
+    """The frame of a ``scene`` in layers, whose refinements have so many bytes on disk."""
     is_same = before is not None and before.blocks is not None and same_blocks(before.blocks, scene.blocks)
     state = replace(before.state, frame=payload.body.frame) if before and is_same else union_of(scene.blocks)
     reconstruction = Reconstruction(state, scene.changes)
-    return DecodedFrame(payload, reconstruction, header, before, blocks=scene.blocks, refinement_bytes=size)
+    return DecodedFrame(payload, reconstruction, header, before, blocks=scene.blocks, refinement_sizes=sizes)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from decogs.codec.header.header import StreamHeader
+from decogs.codec.header.profiles import Load, Profile, load
 from decogs.codec.packets.sound import BLOCK, RATE, SoundTrack
 from decogs.codec.scene.state import GROUPS
+from decogs.formats.errors import UsageError
 from decogs.formats.stream.container import PACKET_OVERHEAD
 from decogs.formats.system.callbacks import OnProgress
 
@@ -109,7 +112,8 @@ class SoundInfo:
 class StreamInfo:
     """A whole stream; every frame that is not lost was reconstructed and its digest verified.
 
-    ``sounds``: its tracks of sound.
+    ``sounds``: its tracks of sound. ``loads``: what each layer, with those below, asks of a player; none where damage
+    leaves that open.
     """
 
     path: Path
@@ -121,6 +125,7 @@ class StreamInfo:
     frames: tuple[FrameInfo, ...]
     damage: tuple[Damage, ...] = ()
     sounds: tuple[SoundInfo, ...] = ()
+    loads: tuple[Load, ...] = ()
 
     @property
     def totals(self) -> dict[str, Any]:
@@ -165,6 +170,13 @@ class StreamInfo:
         around = self.file_bytes - sum(frame.bytes for frame in self.frames)
         return ByteTable((*purposes, CONTAINER), tuple(rows), tuple(frame.kind for frame in self.frames), around)
 
+    def check(self, profile: Profile) -> None:
+        """Raises UsageError unless the stream, or the base of one in layers, keeps within the profile."""
+        if not self.loads:
+            raise UsageError(f"{self.path}: is damaged, which leaves open what it asks of a player")
+        if excess := self.loads[0].excess(profile):
+            raise UsageError(f"{self.path}: does not keep within profile {profile.name}: {excess}")
+
     def to_json(self) -> dict[str, Any]:
         """The same as plain JSON values, for ``decogs-info --json``."""
         header = self.header
@@ -192,6 +204,7 @@ class StreamInfo:
                 "effects": list(header.effects),
                 "subject": header.subject,
                 "layers": [layer.as_document() for layer in header.layers],
+                "profiles": list(header.profiles),
                 "presentation": header.presentation.as_document(),
                 "sound": [sound.to_json() for sound in self.sounds],
                 "lattice": {name: _plain(value) for name, value in vars(header.lattice).items()},
@@ -202,6 +215,7 @@ class StreamInfo:
                 "writer": header.writer,
                 "settings": dict(header.settings),
             },
+            "profiles": [each.profile for each in self.loads],
             "damage": [
                 {
                     "frames": [damage.frames.start, damage.frames.stop],
@@ -233,34 +247,54 @@ def info(
     """
     damages: list[Damage] = []
     with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=damages.append) as opened:
-        frames = []
+        frames, loads = [], list[list[tuple[int, int]]]()
         for frame in opened.frames():
             frames.append(_frame_info(frame))
+            loads.append(frame.layer_loads)
             if on_frame is not None:
                 on_frame(len(frames), opened.frame_count)
-        sounds = _sounds(opened)  # which finds damage, too
+        sounds, sound_sizes = _sounds(opened)  # which finds damage, too
+        header = opened.header
         return StreamInfo(
             opened.path,
             opened.file_bytes,
             opened.version,
             opened.complete,
             opened.unfinished_bytes,
-            opened.header,
+            header,
             tuple(frames),
             tuple(damages),
             sounds,
+            () if damages else _loads(header, loads, sound_sizes),
         )
 
 
-def _sounds(stream: Stream) -> tuple[SoundInfo, ...]:
+def _sounds(stream: Stream) -> tuple[tuple[SoundInfo, ...], list[int]]:
+    """The tracks, and how many bytes of all of them each frame has."""
     tracks = stream.header.sound
-    blocks, sizes = [0] * len(tracks), [0] * len(tracks)
+    blocks, sizes, of_frames = [0] * len(tracks), [0] * len(tracks), list[int]()
     for packets in stream.sounds():
+        of_frames.append(0)
         for packet in packets:
+            size = PACKET_OVERHEAD + len(packet.payload())
             blocks[packet.track] += len(packet.blocks)
-            sizes[packet.track] += PACKET_OVERHEAD + len(packet.payload())
+            sizes[packet.track] += size
+            of_frames[-1] += size
     seconds = [count * BLOCK / RATE for count in blocks]
-    return tuple(SoundInfo(*each) for each in zip(tracks, seconds, sizes, strict=True))
+    return tuple(SoundInfo(*each) for each in zip(tracks, seconds, sizes, strict=True)), of_frames
+
+
+def _loads(
+    header: StreamHeader, frames: Sequence[Sequence[tuple[int, int]]], sounds: Sequence[int]
+) -> tuple[Load, ...]:
+    return tuple(
+        load(
+            [(gaussians, size + sound) for (gaussians, size), sound in zip(layer, sounds, strict=True)],
+            header.sh_degree,
+            header.fps,
+        )
+        for layer in zip(*frames, strict=True)
+    )
 
 
 def _frame_info(frame: DecodedFrame) -> FrameInfo:

@@ -7,6 +7,7 @@ from typing import Any
 
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.header.layer_list import Layer
+from decogs.codec.header.profiles import PROFILES
 from decogs.codec.packets.sound import RATE
 from decogs.formats.cli.command_line import printable, size_text
 
@@ -35,6 +36,7 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
         yield f"sound        {printable(_sound(sound))}"
     for number, layer in enumerate(header.layers):
         yield f"layer        {_layer(number, layer)}"
+    yield from _profiles(facts)
     if header.subject:
         yield "subject      without a background, with alpha"
     yield f"colour       SH degree {header.sh_degree}, background {','.join(f'{c:g}' for c in header.background)}"
@@ -75,6 +77,16 @@ def _layer(number: int, layer: Layer) -> str:
     name = "base" if number == 0 else f"{number}, with those below"
     likeness = "" if layer.psnr is None else f", {layer.psnr:.1f} dB of the whole"
     return f"{name}: up to {layer.gaussians} Gaussians, {size_text(round(layer.bytes_per_frame))} a frame{likeness}"
+
+
+def _profiles(facts: StreamInfo) -> Iterator[str]:
+    """What each layer keeps within, as measured; and where the header says otherwise."""
+    for number, load in enumerate(facts.loads):
+        layer = f"layer {number}: " if facts.header.layers else ""
+        yield f"profile      {layer}{load.profile or 'none; for desktop ' + load.excess(PROFILES['desktop'])}"
+        said = facts.header.profiles[number] if facts.header.profiles else load.profile
+        if said in PROFILES and (excess := load.excess(PROFILES[said])):
+            yield f"NOT AS SAID  {layer}the header says {said}, but {excess}"
 
 
 def _coded_effects(name: str, header: StreamHeader) -> str:

@@ -60,8 +60,8 @@ class Refiner:
         before: Sequence[State] | None,
         first: Callable[[], Sequence[State]],
         max_gaussians: int,
-    ) -> tuple[LayeredScene, int]:
-        """The frame of a ``base`` packet, and the bytes of its refinements on disk.
+    ) -> tuple[LayeredScene, tuple[int, ...]]:
+        """The frame of a ``base`` packet, and the bytes of each of its refinements on disk.
 
         ``before``: the blocks of the frame before, None at a keyframe.
 
@@ -72,7 +72,7 @@ class Refiner:
         there = [each.block for each in refinements if each is not None]
         known = first() if any(map(refers_to_first, (base, *there))) else ()
         scene = refine(before, base, refinements, self._header, first=known, max_gaussians=max_gaussians)
-        return scene, sum(block.size for block in there)
+        return scene, tuple(block.size for block in there)
 
     def own_blocks(self, keyframe: int, max_gaussians: int) -> list[State]:
         """The layers' own Gaussians above the base in a keyframe that does not refer to another. Raises StreamError."""

@@ -225,8 +225,8 @@ class Stream:
         if blocks is None and not is_key:
             return None
         try:
-            scene, size = self._refiner.refined(payload.body, blocks, self._first_blocks, self._max_gaussians)
-            return layered_frame(payload, scene, size, before, self.header)
+            scene, sizes = self._refiner.refined(payload.body, blocks, self._first_blocks, self._max_gaussians)
+            return layered_frame(payload, scene, sizes, before, self.header)
         except StreamError as error:
             if not self._concealment.allows(error):
                 raise

@@ -1,24 +1,29 @@
-"""A finished stream put in layers, under its own name."""
+"""A finished stream edited under its own name: put in layers, held to a profile."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from decogs.decoder.editing import edit
 from decogs.decoder.editing.editing import EditReport
-from decogs.decoder.editing.operations.layer import MakeLayers
+from decogs.decoder.editing.operations.base import Operation
 from decogs.formats.system.callbacks import OnProgress, OnWarning
 
 
-def put_in_layers(
-    stream: str | os.PathLike[str], *, on_frame: OnProgress | None = None, on_warning: OnWarning | None = None
+def finish_stream(
+    stream: str | os.PathLike[str],
+    operations: Sequence[Operation],
+    *,
+    on_frame: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
 ) -> EditReport:
-    """Replaces the stream by the same in layers, once that is whole; raises as `edit` does, and the stream stays."""
+    """Replaces the stream by the edited one, once that is whole; raises as `edit` does, and the stream stays."""
     path = Path(stream)
-    made = path.with_name(path.name + ".layers")
+    made = path.with_name(path.name + ".edited")
     try:
-        report = edit(path, made, [MakeLayers()], on_frame=on_frame, on_warning=on_warning)
+        report = edit(path, made, operations, on_frame=on_frame, on_warning=on_warning)
         os.replace(made, path)
     finally:
         made.unlink(missing_ok=True)

@@ -173,6 +173,8 @@ export type FromWorker =
       readonly trouble: string | null;
       /** Frames whose bytes are there. */
       readonly buffered: readonly (readonly [number, number])[];
+      /** Of a stream in layers, frames for which what refines them is there, too. */
+      readonly refined: readonly (readonly [number, number])[];
       /** How much of what leads to the frame that is waited for has come, from 0 to 1; null when none is. */
       readonly share: number | null;
     }

@@ -63,6 +63,8 @@ export interface PlayerApi extends HTMLElement {
   readonly frames: FrameList;
   /** Frames whose bytes are there. */
   readonly bufferedFrames: readonly Span[];
+  /** Of a stream in layers, frames for which what refines them is there, too. */
+  readonly refinedFrames: readonly Span[];
   readonly fps: number;
   /** Seconds of all frames known so far; NaN before `loadedmetadata`. */
   readonly duration: number;

@@ -220,6 +220,8 @@ export interface SceneStream {
   readonly bytesRead: number;
   /** Frames whose bytes are there, from one up to, not including, another. */
   readonly buffered: readonly (readonly [number, number])[];
+  /** Of a stream in layers, frames for which what refines them is there, too. */
+  readonly refined: readonly (readonly [number, number])[];
   /** What of the bytes that lead to a frame from its keyframe on is there, from 0 to 1. */
   share(frame: number): number;
   /** Why nothing comes, while that is tried again; null when nothing is wrong. */

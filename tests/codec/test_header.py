@@ -169,7 +169,7 @@ def test_fields_out_of_bounds_are_refused(path: str, value: object) -> None:
     assert caught.value.reason == "bad-header"
 
 
-OPTIONAL = ("corrected", "camera_colours", "subject", "presentation", "sound", "layers")
+OPTIONAL = ("corrected", "camera_colours", "subject", "presentation", "sound", "layers", "profiles")
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(StreamHeader) if field.name not in OPTIONAL])

@@ -1,8 +1,8 @@
 """Writes the conformance vectors of a bitstream version: streams, and what a reader must make of each.
 
-    python tests/conformance/make_vectors.py        into tests/conformance/1.0.tar
+    python tests/conformance/make_vectors.py        into tests/conformance/1.0.tar and 1.1.tar
 
-The archive is stored as it is, uncompressed: its bytes depend on no library, and Git compresses it anyway.
+An archive is stored as it is, uncompressed: its bytes depend on no library, and Git compresses it anyway.
 Nothing depends on the machine or on a version of zstd: the few zstd frames are put together by hand or spelled out.
 `limit_vectors.large_vectors` are not kept as files; tests make them when they need them.
 """
@@ -36,16 +36,16 @@ from good_vectors import (
     good_states,
     good_subjects,
 )
+from layer_vectors import layer_vectors
 from limit_vectors import limits_of_headers, limits_of_streams
 from plain_header import Header
 from plain_state import State, digest, floats
 from stream_writer import Vector
 
-VERSION = "1.0"
-ARCHIVE = Path(__file__).parent / f"{VERSION}.tar"
+FOLDER = Path(__file__).parent
 
 PROVENANCE = """\
-What:     conformance vectors of the .dgs bitstream, version 1.0 (formats/SPEC.md); tests/conformance/README.md says how
+What:     conformance vectors of the .dgs bitstream, version {} (formats/SPEC.md); tests/conformance/README.md says how
           to use them
 Made by:  tests/conformance/make_vectors.py, byte by byte; a test compares this archive with what it makes
 From:     nothing else: scenes are numbers from the mixing function of SPEC.md, section 5, and good/worked-example is
@@ -56,8 +56,8 @@ Licence:  Apache-2.0, as the project
 """
 
 
-def vectors() -> Iterator[Vector]:
-    """Every vector that is kept as a file."""
+def plain_vectors() -> Iterator[Vector]:
+    """Every vector of version 1.0 that is kept as a file."""
     yield from good_containers()
     yield from good_payloads()
     yield from good_states()
@@ -76,6 +76,9 @@ def vectors() -> Iterator[Vector]:
     yield from limits_of_streams()
 
 
+VERSIONS = {"1.0": plain_vectors, "1.1": layer_vectors}
+
+
 def outcome(vector: Vector) -> dict[str, Any]:
     """What a reader must make of a vector, as kept beside it; README.md says what the hashes are taken over."""
     limits = {} if vector.limits is None else {"limits": vars(vector.limits)}
@@ -87,8 +90,17 @@ def outcome(vector: Vector) -> dict[str, Any]:
     shown = {} if vector.header is None else vector.header.presentation
     tracks = [] if vector.header is None else vector.header.sound
     heard = {"sound": {"tracks": tracks, "packets": heard_packets(vector.sounds)}} if tracks else {}
-    told = {**limits, **indexes, **heard}
+    profiles = {} if vector.header is None or not vector.header.profiles else {"profiles": vector.header.profiles}
+    told = {**limits, **indexes, **heard, **layers(vector), **profiles}
     return {**told, "frames": frames, "failure": failure, **({"presentation": shown} if shown else {})}
+
+
+def layers(vector: Vector) -> dict[str, Any]:
+    """What a reader must make of each layer above the base; nothing where there is none."""
+    if vector.header is None or not vector.layers:
+        return {}
+    told = [[hashes(state, vector.header) for state in states] for states in vector.layers]
+    return {"layers": {"frames": told, "failure": vector.layer_fault}}
 
 
 def heard_packets(sounds: Iterable[Any]) -> list[list[Any]]:
@@ -113,39 +125,45 @@ def hashes(state: State, header: Header) -> dict[str, Any]:
     }
 
 
-def files() -> dict[str, bytes]:
-    """Every file of the suite by its name in the archive's folder."""
-    made = list(vectors())
+def files(version: str) -> dict[str, bytes]:
+    """Every file of the suite of a version by its name in the archive's folder."""
+    made = list(VERSIONS[version]())
     names = [vector.name for vector in made]
     assert len(set(names)) == len(names), "two vectors have the same name"
     expected = {vector.name: outcome(vector) for vector in made}
     return {
         **{f"{vector.name}.dgs": vector.data for vector in made},
         "expected.json": (json.dumps(expected, indent=1, sort_keys=True) + "\n").encode(),
-        "PROVENANCE": PROVENANCE.encode(),
+        "PROVENANCE": PROVENANCE.format(version).encode(),
     }
 
 
-def archive(named: dict[str, bytes]) -> bytes:
+def archive(version: str, named: dict[str, bytes]) -> bytes:
     """The files as an archive, in the order of their names, with neither times nor owners."""
     made = io.BytesIO()
     with tarfile.open(fileobj=made, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for name, data in sorted(named.items()):
-            member = tarfile.TarInfo(f"{VERSION}/{name}")
+            member = tarfile.TarInfo(f"{version}/{name}")
             member.size = len(data)
             tar.addfile(member, io.BytesIO(data))
     return made.getvalue()
 
 
-def kept() -> dict[str, bytes]:
+def path_of(version: str) -> Path:
+    """The committed archive."""
+    return FOLDER / f"{version}.tar"
+
+
+def kept(version: str) -> dict[str, bytes]:
     """The files of the committed archive, as `files` names them."""
-    with tarfile.open(ARCHIVE) as tar:
-        return {member.name.removeprefix(f"{VERSION}/"): tar.extractfile(member).read() for member in tar}
+    with tarfile.open(path_of(version)) as tar:
+        return {member.name.removeprefix(f"{version}/"): tar.extractfile(member).read() for member in tar}
 
 
 def main() -> None:
-    """Writes the suite anew."""
-    ARCHIVE.write_bytes(archive(files()))
+    """Writes the suites anew."""
+    for version in VERSIONS:
+        path_of(version).write_bytes(archive(version, files(version)))
 
 
 if __name__ == "__main__":

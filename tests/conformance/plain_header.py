@@ -16,7 +16,8 @@ from plain_container import COEFFICIENTS, CORRECTIONS, EFFECTS, refuse
 class Header:
     """What decoding needs of the header packet: the number of SH coefficients, the lattice, corrected cameras.
 
-    And how the stream wants to be shown, and its tracks of sound, as far as these are within their bounds.
+    And how the stream wants to be shown, its tracks of sound, how many layers it has, and what it says of profiles, as
+    far as these are within their bounds.
     """
 
     coefficients: int
@@ -25,6 +26,8 @@ class Header:
     presentation: dict[str, Any] = field(default_factory=dict)
     sound: list[dict[str, Any]] = field(default_factory=list)
     fps: float | None = None
+    layers: int = 1
+    profiles: list[str] = field(default_factory=list)
 
     @property
     def channels(self) -> list[int]:
@@ -46,6 +49,8 @@ def read_header(payload: bytes) -> Header:
         presentation_of(header),
         sound_of(header),
         header["fps"],
+        layers_of(header),
+        profiles_of(header),
     )
 
 
@@ -81,6 +86,31 @@ def sound_of(header: dict[str, Any]) -> list[dict[str, Any]]:
         if not all(good(track[name]) for name, good in is_good.items() if name in track):
             return []
     return [{name: track[name] for name in is_good if name in track} for track in tracks]
+
+
+def layers_of(header: dict[str, Any]) -> int:
+    """How many layers there are; one where anything of the list is out of bounds."""
+    layers = header.get("layers")
+    if not isinstance(layers, list) or not 2 <= len(layers) <= 4:
+        return 1
+    for number, layer in enumerate(layers):
+        if not isinstance(layer, dict) or not is_integer(layer.get("gaussians"), 0, 2**27):
+            return 1
+        if not is_number(layer.get("bytes_per_frame"), 0, 1e9):
+            return 1
+        is_last = number == len(layers) - 1
+        if "psnr" in layer if is_last else not is_number(layer.get("psnr"), 0, 200):
+            return 1
+    return len(layers)
+
+
+def profiles_of(header: dict[str, Any]) -> list[str]:
+    """The names, one for each layer; none where anything of the list is out of bounds."""
+    names = header.get("profiles")
+    if not isinstance(names, list) or len(names) != layers_of(header):
+        return []
+    good = all(isinstance(name, str) and len(name) <= 32 and name.isprintable() for name in names)
+    return names if good else []
 
 
 def is_transform(value: Any) -> bool:

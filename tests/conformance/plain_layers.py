@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from plain_container import DELTA, FRAME_KINDS, HEADER, KEY, REFINE, SKIP, Fields, Limits, Packet, packets, refuse
@@ -16,10 +16,10 @@ IDS_OF_A_LAYER = 1 << 50
 class Refinement:
     """The fields of a REFINE packet."""
 
-    def __init__(self, packet: Packet) -> None:
+    def __init__(self, packet: Packet, layers: int) -> None:
         fields = Fields(packet.payload)
         self.layer, self.kind = fields.u8(), fields.u8()
-        if not 1 <= self.layer <= 3 or self.kind not in FRAME_KINDS or fields.take(2) != b"\0\0":
+        if not 1 <= self.layer < layers or self.kind not in FRAME_KINDS or fields.take(2) != b"\0\0":
             refuse("bad-payload")
         self.digest = fields.u64()
         bodies = [fields.take(fields.u32()) for _ in range(self.layer)]
@@ -27,29 +27,28 @@ class Refinement:
         self.block = replace(packet, kind=self.kind, payload=packet.payload[fields.position :])
 
 
-def decode_layers(data: bytes, top: int = 1) -> list[list[State]]:
+def decode_layers(data: bytes, top: int = 1) -> Iterator[list[State]]:
     """The blocks 0 to `top` of each frame of an undamaged stream. Raises Broken."""
     limits, header = Limits(), None
     frames: list[Packet] = []
-    told: dict[tuple[int, int], Refinement] = {}
+    told: dict[int, list[Packet]] = {}
     for packet in packets(data, limits):
         if packet.kind == HEADER:
             header = read_header(packet.payload)
         elif packet.kind in FRAME_KINDS:
             frames.append(packet)
         elif packet.kind == REFINE:
-            refinement = Refinement(packet)
-            told[packet.frame, refinement.layer] = refinement
+            told.setdefault(packet.frame, []).append(packet)
     assert header is not None
-    shown: list[list[State]] = []
+    shown: list[State] | None = None
     first: list[State] | None = None
     for packet in frames:
         _, body = corrections(packet, header)
-        refinements = [told.get((packet.frame, layer)) for layer in range(1, top + 1)]
-        blocks, own = frame(body, refinements, header, shown[-1] if shown else None, first, limits)
+        known = {each.layer: each for each in [Refinement(each, header.layers) for each in told.get(packet.frame, [])]}
+        refinements = [known.get(layer) for layer in range(1, top + 1)]
+        shown, own = frame(body, refinements, header, shown, first, limits)
         first = first or own
-        shown.append(blocks)
-    return shown
+        yield shown
 
 
 def frame(
@@ -69,6 +68,8 @@ def frame(
         refuse("missing-key")
     own = []
     for layer, each in enumerate([packet, *(refinement.block for refinement in refinements if refinement)]):
+        if each.kind == KEY and packet.kind != KEY:
+            refuse("frame-order")
         own.append(block(each, layer, header, before, first, limits))
         if not layer * IDS_OF_A_LAYER <= own[-1].next_id <= (layer + 1) * IDS_OF_A_LAYER:
             refuse("bad-payload")
@@ -81,15 +82,15 @@ def frame(
             if state.ids != own[layer].ids:
                 refuse("bad-payload")
             aligned[layer] = replace(state, frame=packet.frame)
-    union = State(
-        packet.frame,
-        aligned[-1].next_id,
-        [name for each in aligned for name in each.ids],
-        [row for each in aligned for row in each.rows],
-    )
-    if digest(union, sum(header.channels)) != top.digest:
+    if digest(joined(aligned), sum(header.channels)) != top.digest:
         refuse("digest-mismatch")
     return aligned, own
+
+
+def joined(blocks: Sequence[State]) -> State:
+    """The Gaussians of all blocks."""
+    rows = [row for each in blocks for row in each.rows]
+    return State(blocks[0].frame, blocks[-1].next_id, [name for each in blocks for name in each.ids], rows)
 
 
 def block(

@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import Any
 
 from plain_container import CORRECTIONS, DELTA, END, FRAME_KINDS, HEADER, INDEX, KEY, SIGNATURE, SKIP, SOUND, Limits
-from plain_header import Header, presentation_of, sound_of
+from plain_header import Header, layers_of, presentation_of, profiles_of, sound_of
 from plain_payload import Sound
 from plain_state import State, digest, mix, wrapped
 
@@ -24,7 +24,10 @@ MISSING = object()
 
 @dataclass(frozen=True)
 class Vector:
-    """A stream and its outcome when read in order: the states it gives and, if it is broken, reason, packet, offset."""
+    """A stream and its outcome when read in order: the states it gives and, if it is broken, reason, packet, offset.
+
+    ``layers``: of each layer above the base, the states of it and those below, up to ``layer_fault``, a reason.
+    """
 
     name: str
     data: bytes
@@ -34,6 +37,8 @@ class Vector:
     limits: Limits | None = None
     indexes: tuple[bool, ...] = ()
     sounds: tuple[Sound, ...] = ()
+    layers: tuple[tuple[State, ...], ...] = ()
+    layer_fault: str | None = None
 
 
 # Fields of payloads (SPEC.md, section 6), each the inverse of what a decoder reads
@@ -244,7 +249,8 @@ class Stream:
         told = presentation_of(self.document)
         heard, fps = sound_of(self.document), self.document["fps"]
         degree = self.document["sh_degree"]
-        self.header = Header((degree + 1) ** 2, self.document["lattice"], corrected, told, heard, fps)
+        layers, profiles = layers_of(self.document), profiles_of(self.document)
+        self.header = Header((degree + 1) ** 2, self.document["lattice"], corrected, told, heard, fps, layers, profiles)
         self.width = sum(self.header.channels)
         self.data = self.head
         self.offsets: list[int] = []

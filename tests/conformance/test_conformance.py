@@ -50,18 +50,24 @@ import limit_vectors
 import make_vectors
 import plain_container
 import plain_decoder
+import plain_layers
 import stream_writer
 
 from encode_rig import encode_rig as encode
 
-KEPT = make_vectors.kept()
-EXPECTED: dict[str, dict[str, Any]] = json.loads(KEPT["expected.json"])
+KEPT = {version: make_vectors.kept(version) for version in make_vectors.VERSIONS}
+FILES = {name: data for kept in KEPT.values() for name, data in kept.items()}
+EXPECTED: dict[str, dict[str, Any]] = {
+    name: outcome for kept in KEPT.values() for name, outcome in json.loads(kept["expected.json"]).items()
+}
+LAYERED = sorted(name for name, expected in EXPECTED.items() if "layers" in expected)
+HEARD = "good/sound-that-is-damaged"
 GOOD = sorted(name for name, expected in EXPECTED.items() if expected["failure"] is None)
 BROKEN = sorted(set(EXPECTED) - set(GOOD))
 
 
 def vector(name: str) -> bytes:
-    return KEPT[f"{name}.dgs"]
+    return FILES[f"{name}.dgs"]
 
 
 def vector_file(name: str, folder: Path) -> Path:
@@ -81,6 +87,8 @@ class Outcome:
     indexes: tuple[bool, ...] = ()
     presentation: dict[str, Any] | None = None
     sound: dict[str, Any] | None = None
+    layers: int = 1
+    profiles: tuple[str, ...] = ()
 
 
 def by_the_plain_decoder(data: bytes, limits: dict[str, int]) -> Outcome:
@@ -90,7 +98,8 @@ def by_the_plain_decoder(data: bytes, limits: dict[str, int]) -> Outcome:
     failure = decoded.failure
     if failure is None:
         heard = {"tracks": decoded.header.sound, "packets": make_vectors.heard_packets(decoded.sounds)}
-        return Outcome(frames, None, indexes=indexes, presentation=decoded.header.presentation, sound=heard)
+        told = decoded.header
+        return Outcome(frames, None, None, None, indexes, told.presentation, heard, told.layers, tuple(told.profiles))
     return Outcome(frames, failure.reason, failure.packet, failure.offset, indexes)
 
 
@@ -122,7 +131,8 @@ def by_the_product(data: bytes, limits: dict[str, int]) -> Outcome:
     if failure is None:
         heard = {"tracks": [track.as_document() for track in header.sound], "packets": sounds}
         shown = header.presentation.as_document()
-        return Outcome(frames, None, indexes=tuple(indexes), presentation=shown, sound=heard)
+        layers = max(1, len(header.layers))
+        return Outcome(frames, None, None, None, tuple(indexes), shown, heard, layers, header.profiles)
     return Outcome(frames, failure.reason, failure.packet, failure.offset, tuple(indexes))
 
 
@@ -192,6 +202,8 @@ def check(outcome: Outcome, expected: dict[str, Any], data: bytes) -> None:
     if outcome.reason is None:
         assert outcome.presentation == expected.get("presentation", {})
         assert outcome.sound == expected.get("sound", {"tracks": [], "packets": []})
+        assert outcome.layers == 1 + len(expected.get("layers", {"frames": []})["frames"])
+        assert outcome.profiles == tuple(expected.get("profiles", ()))
     if failure["reason"] is not None:
         assert outcome.offset is not None
         # A reader may be more exact than the first byte of the packet (SPEC.md, section 9).
@@ -220,16 +232,18 @@ def test_large_vectors_have_their_outcomes(decode: Decoder) -> None:
         check(decode(large.data, {}), make_vectors.outcome(large), large.data)
 
 
-def test_the_archive_is_what_the_script_makes() -> None:
-    made = make_vectors.files()
-    assert sorted(KEPT) == sorted(made)
-    for name, data in KEPT.items():
+@pytest.mark.parametrize("version", KEPT)
+def test_the_archive_is_what_the_script_makes(version: str) -> None:
+    made = make_vectors.files(version)
+    assert sorted(KEPT[version]) == sorted(made)
+    for name, data in KEPT[version].items():
         assert data == made[name], name
-    assert make_vectors.ARCHIVE.read_bytes() == make_vectors.archive(made)
+    assert make_vectors.path_of(version).read_bytes() == make_vectors.archive(version, made)
 
 
 def test_the_suite_is_small_and_has_every_reason_code() -> None:
-    assert make_vectors.ARCHIVE.stat().st_size < 1 << 20
+    assert len(EXPECTED) == sum(len(kept) - 2 for kept in KEPT.values()), "two vectors have the same name"
+    assert all(make_vectors.path_of(version).stat().st_size < 1 << 20 for version in KEPT)
     assert {expected["failure"]["reason"] for expected in EXPECTED.values() if expected["failure"]} == ALL_REASONS
 
 
@@ -250,7 +264,7 @@ def test_an_opened_file_has_those_states_or_an_error(name: str, tmp_path: Path) 
     population = {"max_gaussians": limits["gaussians"]} if "gaussians" in limits else {}
     reason = None
     try:
-        with open_stream(vector_file(name, tmp_path), strict=True, **population) as stream:
+        with open_stream(vector_file(name, tmp_path), strict=True, layer="base", **population) as stream:
             states.extend(product_hashes(f.state, stream.header, f.corrections) for f in stream.frames())
     except StreamError as error:
         reason = error.reason
@@ -273,8 +287,48 @@ def test_a_followed_stream_has_those_states_and_that_reason(name: str) -> None:
     assert reason == (expected["failure"] and expected["failure"]["reason"])
 
 
+def layers_by_the_plain_decoder(name: str, layer: int, folder: Path) -> tuple[list[dict[str, Any]], str | None]:
+    """The hashes of each frame with this layer, and the reason with which that ends."""
+    data, states = vector(name), []
+    header = plain_decoder.decode(data, plain_container.Limits()).header
+    try:
+        states.extend(map(plain_layers.joined, plain_layers.decode_layers(data, layer)))
+    except plain_container.Broken as broken:
+        return [make_vectors.hashes(state, header) for state in states], broken.reason
+    return [make_vectors.hashes(state, header) for state in states], None
+
+
+def layers_by_the_product(name: str, layer: int, folder: Path) -> tuple[list[dict[str, Any]], str | None]:
+    states: list[dict[str, Any]] = []
+    try:
+        with open_stream(vector_file(name, folder), strict=True, layer=layer) as stream:
+            states.extend(product_hashes(frame.state, stream.header, {}) for frame in stream.frames())
+    except StreamError as error:
+        return states, error.reason
+    return states, None
+
+
+@pytest.mark.parametrize("name", LAYERED)
+@pytest.mark.parametrize("decode", [layers_by_the_plain_decoder, layers_by_the_product], ids=["plain", "product"])
+def test_layers_have_their_outcome(decode: Any, name: str, tmp_path: Path) -> None:
+    expected = EXPECTED[name]["layers"]
+    for layer, frames in enumerate(expected["frames"], start=1):
+        assert decode(name, layer, tmp_path) == (frames, expected["failure"])
+
+
+@pytest.mark.parametrize("name", [name for name in LAYERED if EXPECTED[name]["layers"]["failure"]])
+def test_where_a_refinement_is_damaged_the_base_is_shown(name: str, tmp_path: Path) -> None:
+    (whole,) = EXPECTED[name]["layers"]["frames"]
+    found: list[Any] = []
+    with open_stream(vector_file(name, tmp_path), on_damage=found.append) as stream:
+        shown = [product_hashes(frame.state, stream.header, {}) for frame in stream.frames()]
+    assert shown == whole + EXPECTED[name]["frames"][len(whole) :]
+    assert [damage.error.reason for damage in found] == [EXPECTED[name]["layers"]["failure"]]
+
+
 @pytest.mark.parametrize(
-    "name", [name for name in GOOD if "limits" not in EXPECTED[name] and name != "good/sound-that-is-damaged"]
+    "name",
+    [name for name in GOOD if name.startswith(("good", "limits")) and "limits" not in EXPECTED[name] and name != HEARD],
 )
 def test_every_command_reads_a_good_vector(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """decogs-info, decogs-decode and decogs-export, strictly."""
@@ -282,7 +336,8 @@ def test_every_command_reads_a_good_vector(name: str, tmp_path: Path, capsys: py
     for shown in ([], ["--json"], ["--bytes"]):
         assert info_main([stream, "--strict", *shown]) == 0, capsys.readouterr().err
     facts = info(stream, strict=True)
-    assert [frame.gaussians for frame in facts.frames] == [frame["gaussians"] for frame in EXPECTED[name]["frames"]]
+    whole = EXPECTED[name].get("layers", {"frames": [EXPECTED[name]["frames"]]})["frames"][-1]
+    assert [frame.gaussians for frame in facts.frames] == [frame["gaussians"] for frame in whole]
     assert all(sum(frame.bytes_by_purpose.values()) == frame.bytes - 24 for frame in facts.frames)
     if not frames:
         return

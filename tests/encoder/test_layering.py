@@ -22,7 +22,7 @@ from decogs.encoder.backends.psnr import psnr_of, square_error
 from decogs.encoder.commands import encode_main
 from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.layering import layers
-from decogs.encoder.layering.finished import put_in_layers
+from decogs.encoder.layering.finished import finish_stream
 from decogs.encoder.layering.utility import utility
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError, UsageError
@@ -162,12 +162,12 @@ def test_a_finished_stream_is_replaced(moving, tmp_path: Path) -> None:
     """And stays as it is where that fails; nothing is left beside it."""
     edit(moving.path, tmp_path / "out.dgs", [MakeLayers()])
     before = moving.path.read_bytes()
-    put_in_layers(moving.path)
+    finish_stream(moving.path, [MakeLayers()])
     assert moving.path.read_bytes() == (tmp_path / "out.dgs").read_bytes()
     moving.path.write_bytes(before[:-200] + bytes(100) + before[-100:])
     damaged = moving.path.read_bytes()
     with pytest.raises(StreamError):
-        put_in_layers(moving.path, on_warning=lambda text: None)
+        finish_stream(moving.path, [MakeLayers()], on_warning=lambda text: None)
     assert moving.path.read_bytes() == damaged
     assert sorted(path.name for path in tmp_path.iterdir()) == ["moving.dgs", "out.dgs"]
 
@@ -176,6 +176,6 @@ def test_what_layers_do_not_go_with(moving, tmp_path: Path, capsys: pytest.Captu
     for words, said in ((["-o", "-"], "not with -o -"), (["-o", "x.dgs", "--only", "0:1"], "not with --only")):
         assert encode_main([str(tmp_path), "--layers", *words]) == 2
         assert said in capsys.readouterr().err
-    put_in_layers(moving.path)
+    finish_stream(moving.path, [MakeLayers()])
     with pytest.raises(UsageError, match="the stream is in layers; take them off"):
         read_keyframe(moving.path)

@@ -14,6 +14,7 @@ from .crop import Crop
 from .grade import Grade
 from .layer import MakeLayers
 from .merge import Merge
+from .profile import KeepProfile
 from .retime import Retime
 from .set import Set
 from .strip import Strip
@@ -34,6 +35,7 @@ _ALL: tuple[type[Operation], ...] = (
     Audio,
     Strip,
     MakeLayers,
+    KeepProfile,
 )
 
 OPERATIONS = {operation.name: operation for operation in _ALL}

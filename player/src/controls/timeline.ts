@@ -55,7 +55,7 @@ export class Timeline {
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [Math.round(track.clientWidth * ratio), Math.round(track.clientHeight * ratio)];
     const colours = getComputedStyle(track);
-    const state = [count, frame, width, height, player.frames.psnr.size, player.bufferedFrames, player.range, this.marked, colours.color].join();
+    const state = [count, frame, width, height, player.frames.psnr.size, player.bufferedFrames, player.refinedFrames, player.range, this.marked, colours.color].join();
     if (state === this.drawnState || width === 0) return;
     this.drawnState = state;
     [canvas.width, canvas.height] = [width, height];
@@ -73,7 +73,7 @@ export class Timeline {
     ratio: number,
     colours: CSSStyleDeclaration,
   ): void {
-    const { frames, currentFrame, bufferedFrames } = this.player;
+    const { frames, currentFrame, bufferedFrames, refinedFrames } = this.player;
     const { count } = frames;
     if (count === 0) return;
     const [ink, accent] = [colours.color, colours.getPropertyValue("--accent")];
@@ -88,7 +88,9 @@ export class Timeline {
     context.globalAlpha = 0.18;
     context.fillRect(0, height - base, width, base);
     context.globalAlpha = 0.3;
-    for (const [from, to] of bufferedFrames) context.fillRect((from / count) * width, height - base, ((to - from) / count) * width, base);
+    for (const spans of [bufferedFrames, refinedFrames]) {
+      for (const [from, to] of spans) context.fillRect((from / count) * width, height - base, ((to - from) / count) * width, base);
+    }
     context.globalAlpha = 0.6;
     context.fillRect(0, height - base, ((currentFrame + 0.5) / count) * width, base);
     const looped = this.player.range ?? (this.marked === null ? null : [this.marked, this.marked + 1]);
@@ -148,13 +150,16 @@ export class Timeline {
   }
 
   private hover(event: PointerEvent): void {
-    const { frames, fps } = this.player;
+    const { frames, fps, header, refinedFrames } = this.player;
     if (frames.count === 0) return;
     const frame = this.frameAt(event);
     if (frame !== this.hovered) {
       this.hovered = frame;
       const psnr = frames.psnr.get(frame);
       const parts = [timeText(frame / fps), `frame ${frame}`, frames.kind(frame) ?? "lost", bytesText(frames.bytes[frame])];
+      if (header !== null && header.layers.length > 0) {
+        parts.push(refinedFrames.some(([from, to]) => from <= frame && frame < to) ? "all layers" : "base");
+      }
       if (psnr !== undefined) parts.push(`${psnr.toFixed(2)} dB`);
       this.caption.textContent = parts.join("  ·  ");
     }

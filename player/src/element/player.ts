@@ -73,6 +73,10 @@ export class DecogsPlayer extends AttributeElement implements PlayerApi {
   get bufferedFrames(): readonly Span[] {
     return this.#session.buffered;
   }
+
+  get refinedFrames(): readonly Span[] {
+    return this.#session.refined;
+  }
   /** Seconds that can be played without the network, as with <video>. */
   get buffered(): Ranges {
     return new Ranges(this.bufferedFrames.map(([from, to]) => [from / this.fps, to / this.fps]));

@@ -23,6 +23,7 @@ export class Session {
   drawn = { count: 0, sortMs: 0 };
   /** Frames whose bytes are there, from one up to, not including, another. */
   buffered: readonly Span[] = [];
+  refined: readonly Span[] = [];
   /** Where the next stream begins, as with <video>. */
   start: Moment | null = null;
   readonly playback = new Playback();
@@ -90,7 +91,7 @@ export class Session {
     if (!playing) this.#beginnings.refuseAll(gone);
     const emptied = this.header !== null;
     this.header = this.info = null;
-    this.buffered = [];
+    this.buffered = this.refined = [];
     this.#buffering.end();
     this.#faults.forget();
     this.#faults.say();
@@ -287,8 +288,8 @@ export class Session {
   }
 
   #progressed(message: Extract<FromWorker, { type: "progress" }>): void {
-    const { bytesRead, buffered, complete, share, trouble } = message;
-    Object.assign(this, { bytesRead, buffered });
+    const { bytesRead, buffered, refined, complete, share, trouble } = message;
+    Object.assign(this, { bytesRead, buffered, refined });
     if (message.frames !== null) this.frames.append(message.frames);
     for (const [frame, psnr] of message.psnr) this.frames.psnr.set(frame, psnr);
     this.#grown(complete);

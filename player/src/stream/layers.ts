@@ -10,6 +10,7 @@ import { Union, type UnionStep } from "../state/union";
 import { Ages } from "./ages";
 import { Changes } from "./changes";
 import type { FrameTable, Place } from "./frameTable";
+import { isRefined } from "./heldFrames";
 import type { ByteSource } from "./sources";
 
 /** What has changed with the frame that was reached. */
@@ -108,7 +109,7 @@ export class Layers {
     const end = table.segmentEnd(from);
     let missing = begin;
     const { held } = this.source;
-    while (missing < end && isHere(table, held, missing)) missing++;
+    while (missing < end && isRefined(table, held, missing)) missing++;
     return this.spanOf(table, missing, end);
   }
 
@@ -122,7 +123,7 @@ export class Layers {
 
   private areHere(table: FrameTable, begin: number, frame: number): boolean {
     const { held } = this.source;
-    for (let at = begin; at <= frame; at++) if (!isHere(table, held, at)) return false;
+    for (let at = begin; at <= frame; at++) if (!isRefined(table, held, at)) return false;
     return true;
   }
 
@@ -164,15 +165,4 @@ export class Layers {
       throw isDamage(error) ? error.at(null, place.offset) : error;
     }
   }
-}
-
-/** Whether the refinement of a frame has come, or there is none to come. */
-function isHere(table: FrameTable, held: ByteSource["held"], frame: number): boolean {
-  const place = table.refinements.get(frame);
-  return place === undefined ? table.entries[frame].kind === "skip" : holds(held, place.offset, place.bytes);
-}
-
-/** Whether a range is among what is held; `held` undefined: the source has all bytes. */
-export function holds(held: ByteSource["held"], offset: number, bytes: number): boolean {
-  return held === undefined || held.some(([from, to]) => from <= offset && to >= offset + bytes);
 }

@@ -13,8 +13,8 @@ import { Changes } from "./changes";
 import { leadsTo, readFramePacket } from "./framePackets";
 import { FrameTable } from "./frameTable";
 import { HttpFeed } from "./http";
-import { Layers, USUAL_FPS, holds, type Refined } from "./layers";
-import { heldFrames, heldShare } from "./heldFrames";
+import { Layers, USUAL_FPS, type Refined } from "./layers";
+import { heldFrames, heldShare, holds, refinedFrames } from "./heldFrames";
 import { Metrics } from "./metrics";
 import { readIndexAtEnd, readOpening, type Opening } from "./opening";
 import { Pauses } from "./pauses";
@@ -164,6 +164,10 @@ class OpenStream implements SceneStream {
 
   get buffered(): readonly Span[] {
     return heldFrames(this.table, this.source.held);
+  }
+
+  get refined(): readonly Span[] {
+    return refinedFrames(this.table, this.source.held);
   }
 
   share(frame: number): number {
@@ -322,12 +326,12 @@ class OpenStream implements SceneStream {
     this.target = index;
     let shown = this.canStepTo(index) ? this.shown! : await this.jump(index, signal);
     while (shown.frame < index) shown = await this.stepOn(shown, signal);
-    const refined = this.held === null && this.layers.wanted ? await this.refined(index, signal) : null;
+    const refined = this.held === null && this.layers.wanted ? await this.reachRefined(index, signal) : null;
     return this.sceneFrame(shown, refined);
   }
 
   /** With all layers, where they have come. */
-  private refined(index: number, signal?: AbortSignal): Promise<Refined | null> {
+  private reachRefined(index: number, signal?: AbortSignal): Promise<Refined | null> {
     return this.layers.reach(this.table, index, (frame) => this.packet(frame, signal));
   }
 

@@ -331,9 +331,9 @@ export class StreamWorker {
     if (stream === null) return;
     const psnr = this.newMetrics(stream);
     const frames = this.newFrames();
-    const { bytesRead, notices, buffered, trouble } = stream;
+    const { bytesRead, notices, buffered, refined, trouble } = stream;
     const share = awaited === null ? null : stream.share(awaited);
-    const state = { bytesRead, notices, buffered, trouble, share, complete: this.isComplete(stream) };
+    const state = { bytesRead, notices, buffered, refined, trouble, share, complete: this.isComplete(stream) };
     const text = JSON.stringify(state);
     if (frames === null && psnr.length === 0 && text === sent.state) return;
     sent.state = text;

@@ -360,7 +360,7 @@ test("how much is there is counted as <video> does", () => {
   assert.deepEqual([player.readyState, player.videoWidth, player.seekable.length, player.figures], [0, 0, 0, null]);
   const nothing = { bytesRead: 50, complete: true, frames: null, psnr: [], notices: [], trouble: null, share: null };
   const buffered = (...spans: [number, number][]): number => {
-    FakeWorker.opened.say({ type: "progress", ...nothing, buffered: spans });
+    FakeWorker.opened.say({ type: "progress", ...nothing, refined: [], buffered: spans });
     return player.readyState;
   };
   FakeWorker.opened.say({ type: "opened", header: header(STREAM), layout: { shDegree: 0, restTexels: 0 }, frames: frameTable(90), complete: true });

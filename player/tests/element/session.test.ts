@@ -81,7 +81,7 @@ class Opened {
   }
 
   progress(changed: Partial<Extract<FromWorker, { type: "progress" }>> = {}): this {
-    const nothing = { bytesRead: 0, complete: true, frames: null, psnr: [], notices: [], trouble: null, buffered: [], share: null };
+    const nothing = { bytesRead: 0, complete: true, frames: null, psnr: [], notices: [], trouble: null, buffered: [], refined: [], share: null };
     this.worker.say({ type: "progress", ...nothing, ...changed });
     return this;
   }
@@ -728,8 +728,9 @@ test("the worst of what is wrong is said: the error, the network, the frame, the
 
 test("what is known of frames is kept, and buffers go back to the worker", () => {
   const of = ready();
-  of.progress({ bytesRead: 77, psnr: [[3, 31.5]], buffered: [[0, 9]], frames: frameTable(91, 90) });
+  of.progress({ bytesRead: 77, psnr: [[3, 31.5]], buffered: [[0, 9]], refined: [[0, 4]], frames: frameTable(91, 90) });
   assert.deepEqual([of.session.bytesRead, of.session.frames.psnr.get(3), of.session.frames.count], [77, 31.5, 91]);
+  assert.deepEqual([of.session.buffered, of.session.refined], [[[0, 9]], [[0, 4]]]);
   assert.equal(of.session.playback.frameCount, 91);
   of.progress();
   assert.equal(of.events.filter((name) => name === "durationchange").length, 2);

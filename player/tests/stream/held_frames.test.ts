@@ -6,7 +6,7 @@ import { DEFAULT_LIMITS } from "../../src/container/limits";
 import { KIND } from "../../src/container/packets";
 import { joined } from "../../src/stream/bytes";
 import { FrameTable } from "../../src/stream/frameTable";
-import { heldFrames, heldShare } from "../../src/stream/heldFrames";
+import { heldFrames, heldShare, refinedFrames } from "../../src/stream/heldFrames";
 import { Metrics } from "../../src/stream/metrics";
 import { Pauses } from "../../src/stream/pauses";
 import { readSound } from "../../src/stream/sound";
@@ -31,6 +31,15 @@ test("a frame is there when its last byte is; a lost one need not be waited for"
   assert.deepEqual(heldFrames(table(), [[101, 140]]), [[1, 5]]);
   assert.deepEqual(heldFrames(table(), undefined), [[0, 5]]);
   assert.deepEqual(heldFrames(new FrameTable(), undefined), []);
+});
+
+test("a frame is refined when what refines it is there, or nothing does", () => {
+  const frames = table();
+  frames.add("skip", 140, 10);
+  assert.deepEqual(refinedFrames(frames, [[0, 500]]), []);
+  frames.refinements = new Map([0, 1, 3].map((frame, place) => [frame, { offset: 200 + 10 * place, bytes: 10 }]));
+  assert.deepEqual(refinedFrames(frames, [[100, 209], [210, 500]]), [[1, 2], [3, 4], [5, 6]]);
+  assert.deepEqual(refinedFrames(frames, undefined), [[0, 2], [3, 4], [5, 6]]);
 });
 
 test("the share of what leads to a frame is that of the bytes from its keyframe on", () => {
