@@ -173,10 +173,12 @@ def open_take(
         base = opened_at(BASE, None)[0] if stream.header.layers else None
         if on_warning is not None and (lost := stream.unknown_parts()):
             on_warning(f"{path}: holds what this version does not know, which is left out: {', '.join(lost[:_NAMED])}")
-        settings = {name: value for name, value in stream.stored_header.settings.items() if name not in _OF_THE_ENCODE}
+        stored = stream.stored_header
+        settings = {name: value for name, value in stored.settings.items() if name not in _OF_THE_ENCODE}
         source = _Source(stream, base, number * OWN_IDS)
-        header = replace(stream.stored_header, settings=settings, profiles=())
-        profile = NO_PROFILE if stream.stored_header.profiles else None
+        # What is between the base and the whole becomes part of what makes it whole.
+        header = replace(stored, settings=settings, layers=stored.layers[:1] + stored.layers[-1:], profiles=())
+        profile = NO_PROFILE if stored.profiles else None
         # The first keyframe of a damaged stream may be none that is left.
         starts = (0, *(frame for frame in stream.keyframes if frame))
         yield Take(header, len(every), source.read, stream.sounds, starts, (Path(path),), profile=profile)

@@ -53,6 +53,7 @@ from decogs.decoder.editing import (
     Trim,
     edit,
 )
+from decogs.decoder.editing.operations.profile import KeepProfile
 from decogs.decoder.reading.damage import Damage
 from decogs.decoder.reading.following import follow_stream
 from decogs.decoder.reading.frame import DecodedFrame
@@ -75,6 +76,8 @@ from decogs.formats.stream.container import (
 from decogs.formats.stream.reasons import ALL_REASONS, Reason
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "conformance"))
+import make_vectors
 from packets import iterate_packets
 
 MAX_MEMORY = 32 << 20
@@ -83,6 +86,7 @@ MAX_MEMORY = 32 << 20
 MAX_SECONDS = 1.0
 """Of processor time, which other programs on the machine do not lengthen."""
 
+_SCENES = {*FRAME_KINDS, PacketKind.REFINE}
 _PAYLOAD_KINDS = (PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP)
 _DIGEST = struct.Struct("<Q")
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -108,6 +112,7 @@ def seed_streams() -> list[bytes]:
         _stream(count=0, sh_degree=0, finished=True),
         _stream(count=12, sh_degree=0, finished=True, corrected=_CORRECTED),
         _stream(count=3, sh_degree=0, finished=True, sound=True),
+        *(make_vectors.kept("1.1")[f"good/{name}.dgs"] for name in ("two-layers", "three-layers")),
     ]
 
 
@@ -247,11 +252,11 @@ def mutated_bytes(random: Random, data: bytes) -> bytes:
 
 def mutated_stream(random: Random, packets: list[Packet]) -> bytes:
     """Packets changed, dropped, repeated or exchanged; then everything that protects them repaired."""
-    chosen = [packet for packet in packets if packet.kind not in (PacketKind.INDEX, PacketKind.END)]
+    chosen = [packet for packet in packets if packet.kind not in (PacketKind.INDEX, PacketKind.LAYERS, PacketKind.END)]
     for _ in range(1 + min(random.getrandbits(2), random.getrandbits(2))):
         at, action = random.randrange(len(chosen)), random.randrange(12)
         if random.random() < 0.8:
-            at = random.choice([i for i, packet in enumerate(chosen) if packet.kind in FRAME_KINDS] or [at])
+            at = random.choice([i for i, packet in enumerate(chosen) if packet.kind in _SCENES] or [at])
         packet = chosen[at]
         if action == 0 and len(chosen) > 1:
             del chosen[at]
@@ -264,7 +269,7 @@ def mutated_stream(random: Random, packets: list[Packet]) -> bytes:
             following = min(packet.frame + 1, MAX_FRAME)
             chosen[at] = replace(packet, frame=random.choice((0, 1, 3, 70_000, MAX_FRAME, following)))
         elif action == 4:
-            kind = random.choice((1, 2, 3, 4, 5, 6, 7, 8, 9, 200))
+            kind = random.choice((1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 200))
             chosen[at] = replace(packet, kind=kind, critical=random.random() < 0.5)
         else:
             chosen[at] = replace(packet, payload=mutated_payload(random, packet.payload))
@@ -314,7 +319,9 @@ def repaired_stream(packets: list[Packet], *, finished: bool) -> bytes:
         if packet.kind in FRAME_KINDS:
             packet, state = repaired_frame(packet, state, described, first)
             first = state if first is None else first
-        writer.write(packet.kind, packet.frame, packet.payload, critical=packet.critical)
+        # A writer finds a refinement's layer in its first byte.
+        payload = packet.payload or b"\0" if packet.kind == PacketKind.REFINE else packet.payload
+        writer.write(packet.kind, packet.frame, payload, critical=packet.critical)
     if finished:
         writer.finish()
     return file.getvalue()
@@ -445,6 +452,7 @@ EDITS: tuple[tuple[Operation, ...], ...] = (
     (Transform(turns=(("X", 40.0),), scale=3.0), Merge(Path()), Set(title="x")),
     (Clean(size=0.5, seen=1), Grade(1.0, region=Box((-1.0, -1.0, -1.0), (0.1, 1.0, 1.0))), Strip(("rig", "sound"))),
     (Cameras(rename=(("a", "b"),)), Retime(holds=((3, 4),))),
+    (KeepProfile("desktop"), Strip(("layers",))),
 )
 """What is done to hostile streams; other streams are the stream itself."""
 

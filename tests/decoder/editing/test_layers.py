@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -140,3 +141,15 @@ def test_layering_says_what_it_needs(small_stream, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("decogs.decoder.editing.operations.layer.entry_points", lambda group: [])
     with pytest.raises(UsageError, match="needs the encoder"):
         edit(small_stream.path, tmp_path / "out.dgs", [MakeLayers()])
+
+
+def test_what_lies_between_base_and_whole_becomes_part_of_what_refines_the_base(tmp_path: Path) -> None:
+    sys.path.insert(0, str(Path(__file__).parents[2] / "conformance"))
+    import make_vectors
+
+    three, out = tmp_path / "three.dgs", tmp_path / "out.dgs"
+    three.write_bytes(make_vectors.kept("1.1")["good/three-layers.dgs"])
+    edit(three, out, [Set(title="x")])
+    assert [layer.psnr for layer in header_of(out).layers] == [30.25, None]
+    assert_same_rows(states_of(out), states_of(three))
+    assert_same_rows(bases_of(out), bases_of(three))
