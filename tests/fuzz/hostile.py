@@ -78,6 +78,7 @@ from decogs.formats.stream.reasons import ALL_REASONS, Reason
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "conformance"))
 import make_vectors
+
 from packets import iterate_packets
 
 MAX_MEMORY = 32 << 20
