@@ -2,7 +2,8 @@
 
 Every layer is a block of Gaussians with packets of its own. The base's are the frames of the stream, which every reader
 plays. A lower block may have other values in a higher layer: they differ by integers that stay from frame to frame, so
-that what a frame adds to the one, it adds to the other. A reader of a higher layer need not know the lower one's.
+that what a frame adds to the one, it adds to the other. A reader of a higher layer need not know the lower one's, but
+at keyframes.
 """
 
 from __future__ import annotations
@@ -20,11 +21,28 @@ from decogs.formats.stream.reasons import Reason
 from .header.header import StreamHeader
 from .packets.deltas import Changes, apply_delta
 from .packets.frame_payload import FramePayload
+from .packets.keyframes import new_state
 from .packets.refinement import LAYER_IDS, Refinement
-from .packets.syntax import read_delta
+from .packets.syntax import read_delta, refers_to_first
 from .reconstruct import reconstruct_frame
 from .scene.digest import MASK, combine
-from .scene.state import ARRAYS, DEFAULT_MAX_GAUSSIANS, State, read_only, same_scene
+from .scene.state import (
+    ARRAYS,
+    DEFAULT_MAX_GAUSSIANS,
+    Attributes,
+    State,
+    all_rows,
+    read_only,
+    same_scene,
+    take_rows,
+)
+
+
+class FirstKeyframe(NamedTuple):
+    """The blocks of the first keyframe: as their own packets have them, and as the top layer has them."""
+
+    own: tuple[State, ...]
+    aligned: tuple[State, ...]
 
 
 class LayeredScene(NamedTuple):
@@ -60,13 +78,13 @@ def refine(
     refinements: Sequence[Refinement | None],
     header: StreamHeader,
     *,
-    first: Sequence[State] = (),
+    first: FirstKeyframe | None = None,
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS,
 ) -> LayeredScene:
     """The frame of a ``base`` packet, read from behind its corrections, and of the ``refinements`` of each layer above.
 
-    ``before``: the blocks of the frame before, None at a keyframe. ``first``: each layer's own Gaussians in the first
-    keyframe, for keyframes that refer to it. Where the base's packet is a SKIP and no layer has a refinement, nothing
+    ``before``: the blocks of the frame before, None at a keyframe. ``first``: the first keyframe, for those that refer
+    to it. Where the base's packet is a SKIP and no layer has a refinement, nothing
     changes; otherwise none may lack. The digest of all blocks together is compared. Raises StreamError.
     """
     there = [each for each in refinements if each is not None]
@@ -76,8 +94,10 @@ def refine(
         _refuse(base, Reason.MISSING_KEY, f"frame {base.frame} lacks its refinement")
     blocks, counts, room = list[State](), list[Changes](), max_gaussians
     for number, packet in enumerate([base, *(each.block for each in there)]):
-        known = first[number] if number < len(first) else None
+        known = None if first is None else first.own[number]
         block, changes = _advanced(None if before is None else before[number], packet, header, known, room)
+        if first is not None and number < len(refinements) and refers_to_first(packet):
+            block = _as_in_first(block, first.own[number], first.aligned[number])
         if number:
             _check_ids(block, number, packet)
         blocks.append(block)
@@ -103,6 +123,17 @@ def _advanced(
         return replace(state, frame=packet.frame), Changes(0, 0, 0)
     delta, _ = read_delta(packet, state, max_gaussians)
     return apply_delta(state, delta), delta.changes
+
+
+def _as_in_first(block: State, own: State, aligned: State) -> State:
+    """A keyframe's block whose Gaussians that the first keyframe has are ``aligned`` as they were there."""
+    here = np.isin(block.ids, own.ids, assume_unique=True)
+    rows = np.searchsorted(own.ids, block.ids[here])
+    was, is_now = take_rows(own, rows), take_rows(aligned, rows)
+    values = {name: getattr(all_rows(block), name).copy() for name in ARRAYS}
+    for name, array in values.items():
+        array[here] += getattr(is_now, name) - getattr(was, name)
+    return new_state(Attributes(**values), block.frame, ids=block.ids, next_id=block.next_id)
 
 
 def _aligned(block: State, packet: Packet | None) -> State:

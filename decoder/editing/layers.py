@@ -36,6 +36,7 @@ class LayerWriter:
         uncorrected = replace(header, corrected=CorrectedCameras())
         self._rest = FrameWriter(uncorrected, self._block_sink, IdMap(LAYER_IDS, begins_anew=True))
         self._offsets: tuple[Rows, Attributes] | None = None
+        self._first_offsets: tuple[Rows, Attributes] | None = None
         self._pending: list[tuple[int, bytes]] = []
         self.is_empty = True
 
@@ -50,12 +51,15 @@ class LayerWriter:
         number, is_key = self.frames, frame.is_key or not self.frames
         if is_key:
             self.finish()
-            self._offsets = None
         in_base = np.isin(frame.state.ids, frame.base.ids, assume_unique=True)
         self._base.write(replace(frame, state=frame.base, coded=None))
+        if is_key:
+            self._offsets = self._first_offsets if self._base.refers else None
         rest = part_of(frame.state, ~in_base)
         self._rest.write(replace(frame, state=rest, corrections={}, coded=None))
         aligned, alignment = self._aligned(take_rows(frame.state, np.flatnonzero(in_base)))
+        if not number:
+            self._first_offsets = self._offsets
         blocks = aligned, self._rest.state
         kind, body = self._block_sink.last
         if kind != PacketKind.SKIP or alignment or not self._base.is_skipped:

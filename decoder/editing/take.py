@@ -200,10 +200,10 @@ class _Source:
         before: State | None = None
         bases = self._bases(start, stop)
         for frame in self.stream.frames(start, stop):
+            self._check(frame, lacks_layers=self.base is not None and frame.blocks is None)
             same_ids = before if was is not None and was.state.ids is frame.state.ids else None
             after = self._renumbered(frame.state, same_ids)
             is_key = frame.kind == PacketKind.KEY
-            self._check(frame)
             coded = self._coded(frame, None if is_key else before, after)
             yield Frame(after, frame.corrections, is_key, coded, next(bases))
             was, before = frame, after
@@ -219,11 +219,14 @@ class _Source:
     def _bases(self, start: int, stop: int) -> Iterator[State | None]:
         if self.base is None:
             return repeat(None, stop - start)
-        return (self._renumbered(frame.state) for frame in self.base.frames(start, stop))
+        return map(self._base_of, self.base.frames(start, stop))
 
-    def _check(self, frame: DecodedFrame) -> None:
+    def _base_of(self, frame: DecodedFrame) -> State:
+        self._check(frame)
+        return self._renumbered(frame.state)
+
+    def _check(self, frame: DecodedFrame, *, lacks_layers: bool = False) -> None:
         """Raises StreamError for a frame that is damaged, or of which layers are."""
-        lacks_layers = self.base is not None and frame.blocks is None
         if frame.concealed is not None or lacks_layers:
             why = "" if frame.concealed is None else f" ({frame.concealed})"
             message = f"{self.stream.path}: frame {frame.index} is damaged{why}; trim it away"

@@ -13,7 +13,7 @@ from decogs.codec.packets.deltas import apply_delta, difference
 from decogs.codec.packets.keyframes import new_state
 from decogs.codec.packets.syntax import refers_to_first, renamed, write_delta, write_key, write_skip
 from decogs.codec.scene.state import Rows, State, all_rows, same_scene, same_values, take_rows
-from decogs.formats.stream.container import PacketKind
+from decogs.formats.stream.container import Packet, PacketKind
 
 from .names import IdMap
 from .take import Frame
@@ -31,7 +31,7 @@ class FrameWriter:
 
     ``frames`` counts them, ``kept`` those whose packet was taken as it was read, but for its digest and ids.
     ``is_empty``: whether no frame has any Gaussian; ``is_skipped``: whether the last one's packet says that nothing
-    changes.
+    changes; ``refers``: whether it is a keyframe that refers to the first one.
     """
 
     def __init__(self, header: StreamHeader, sink: PacketSink, names: IdMap | None = None) -> None:
@@ -42,7 +42,7 @@ class FrameWriter:
         self._source_state: State | None = None  # a source's state whose rows are those of _state, one by one
         self._first_source_state: State | None = None
         self.frames = self.kept = 0
-        self.is_empty, self.is_skipped = True, False
+        self.is_empty, self.is_skipped, self.refers = True, False, False
         self._ids: Rows = np.zeros(0, np.int64)
 
     @property
@@ -75,6 +75,7 @@ class FrameWriter:
         else:
             kind, body, after = self._coded_anew(after, is_key)
         self.is_skipped = kind == PacketKind.SKIP
+        self.refers = refers_to_first(Packet(kind, self.frames, body))
         block = write_corrections(frame.corrections, self._header.corrected)
         self._sink.write(kind, self.frames, block + body)
         self._state, self._source_state = after, frame.state if in_order else None

@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import BinaryIO
 
 from decogs.codec.header.header import StreamHeader
-from decogs.codec.layers import LayeredScene, refine
+from decogs.codec.layers import FirstKeyframe, LayeredScene, refine
 from decogs.codec.packets.frame_payload import FramePayload
 from decogs.codec.packets.refinement import Refinement, read_refinement
 from decogs.codec.packets.syntax import refers_to_first
@@ -58,30 +58,31 @@ class Refiner:
         self,
         base: Packet,
         before: Sequence[State] | None,
-        first: Callable[[], Sequence[State]],
+        first: Callable[[], FirstKeyframe],
         max_gaussians: int,
     ) -> tuple[LayeredScene, tuple[int, ...]]:
         """The frame of a ``base`` packet, and the bytes of each of its refinements on disk.
 
         ``before``: the blocks of the frame before, None at a keyframe.
 
-        ``first``: each layer's Gaussians in the first keyframe, asked for where a keyframe refers to it. Raises
-        StreamError.
+        ``first``: the first keyframe, asked for where one refers to it. Raises StreamError.
         """
         refinements = [self._refinement(base.frame, layer) for layer in range(1, self.top + 1)]
         there = [each.block for each in refinements if each is not None]
-        known = first() if any(map(refers_to_first, (base, *there))) else ()
+        known = first() if any(map(refers_to_first, (base, *there))) else None
         scene = refine(before, base, refinements, self._header, first=known, max_gaussians=max_gaussians)
         return scene, tuple(block.size for block in there)
 
-    def own_blocks(self, keyframe: int, max_gaussians: int) -> list[State]:
-        """The layers' own Gaussians above the base in a keyframe that does not refer to another. Raises StreamError."""
-        refinements = [self._refinement(keyframe, layer) for layer in range(1, self.top + 1)]
-        return [
-            reconstruct_frame(None, FramePayload({}, each.block), self._header, max_gaussians=max_gaussians).state
-            for each in refinements
-            if each is not None
+    def first_keyframe(self, base: Packet, max_gaussians: int) -> FirstKeyframe:
+        """That of the stream, whose packet of the ``base`` is read from behind its corrections. Raises StreamError."""
+        refinements = [self._refinement(base.frame, layer) for layer in range(1, self.top + 1)]
+        aligned = refine(None, base, refinements, self._header, max_gaussians=max_gaussians).blocks
+        packets = [base, *(each.block for each in refinements if each is not None)]
+        own = [
+            reconstruct_frame(None, FramePayload({}, packet), self._header, max_gaussians=max_gaussians).state
+            for packet in packets
         ]
+        return FirstKeyframe(tuple(own), aligned)
 
     def _refinement(self, frame: int, layer: int) -> Refinement | None:
         lies = self._lies_of(frame)

@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import BinaryIO, cast
 
 from decogs.codec.header.header import StreamHeader, unknown_members
+from decogs.codec.layers import FirstKeyframe
 from decogs.codec.packets.frame_payload import FramePayload, split_payload
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS, State
@@ -86,7 +87,7 @@ class Stream:
             self._first: State | None = None
             top = layer_number(layer, self.header)
             self._refiner = Refiner(self._file, self.header, top, lambda: self._survey, max_payload=self._max_payload)
-            self._first_layers: tuple[State, ...] = ()
+            self._first_layers: FirstKeyframe | None = None
         for error in self._survey.harmless():
             self._concealment.report(Damage(error))
 
@@ -243,11 +244,11 @@ class Stream:
         assert shown is not None
         return shown
 
-    def _first_blocks(self) -> tuple[State, ...]:
-        """Each layer's own Gaussians in the first keyframe."""
-        if not self._first_layers:
-            above = self._refiner.own_blocks(0, self._max_gaussians)
-            self._first_layers = (self.first_keyframe(), *above)
+    def _first_blocks(self) -> FirstKeyframe:
+        """The first keyframe in layers, to which later ones refer; kept from the first time it is asked for."""
+        if self._first_layers is None:
+            base = split_payload(self._packet(0, self._packets()), self.header.corrected).body
+            self._first_layers = self._refiner.first_keyframe(base, self._max_gaussians)
         return self._first_layers
 
     def first_keyframe(self) -> State:

@@ -1,6 +1,6 @@
 """A take in two layers: a base that stands alone, and all of it (SPEC.md, "Layers").
 
-A take is trained in rounds of some 60 frames, or of a segment. Who is in the base stays there, and so do the offsets of
+A take is trained in rounds of some 60 frames. Who is in the base stays there, and so do the offsets of
 its values from those of the whole scene, unless it moves: then values drift apart from what they were trained with.
 """
 
@@ -107,14 +107,15 @@ def layered(take: Take, share: float) -> Take:
 
 
 def _rounds(take: Take) -> list[range]:
-    """The frames of each round: segments, and parts of longer ones that are about as long as each other."""
-    ends = [*take.starts[1:], take.frame_count]
-    rounds = []
-    for begin, end in zip(take.starts, ends, strict=True):
-        parts = max(1, round((end - begin) / _ROUND_FRAMES))
-        borders = [begin + (end - begin) * part // parts for part in range(parts + 1)]
-        rounds += [range(a, b) for a, b in pairwise(borders)]
-    return rounds
+    """The frames of each round: about as many in each, but that one begins with a segment if one begins thereabouts."""
+    parts = max(1, round(take.frame_count / _ROUND_FRAMES))
+    even = [take.frame_count * part // parts for part in range(1, parts)]
+    nearest = [min(take.starts, key=lambda start: abs(start - border)) for border in even]
+    borders = [
+        start if abs(start - border) <= _ROUND_FRAMES // 4 else border
+        for start, border in zip(nearest, even, strict=True)
+    ]
+    return [range(a, b) for a, b in pairwise([0, *borders, take.frame_count])]
 
 
 class _RoundMaker:

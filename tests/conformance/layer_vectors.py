@@ -8,7 +8,8 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from plain_container import LAYERS, REFINE
+from plain_container import KEY, LAYERS, REFINE
+from plain_layers import as_in_first
 from plain_state import State, digest
 from stream_writer import Stream, Vector, changed, prologue, scene
 
@@ -37,6 +38,7 @@ class Layered:
         self.tops = [Stream() for _ in range(layers - 1)]
         self.below = [[Stream() for _ in range(layer)] for layer in range(1, layers)]
         self.unions: list[list[State]] = [[] for _ in self.tops]
+        self.firsts: list[list[State]] = []
         self.pending: list[tuple[int, bytes]] = []
         self.refinements: list[tuple[int, int, int]] = []
 
@@ -51,10 +53,15 @@ class Layered:
             alignments = []
             for block, stream in enumerate(below):
                 calls[block](stream)
+                if stream.frames[-1][2] == KEY and payload_of(stream)[20] == 1:
+                    first = self.firsts[layer - 1][block]
+                    stream.states[-1] = as_in_first(stream.states[-1], stream.states[0], first)
                 residuals = (aligned or {}).get((layer, block))
                 if residuals:
                     stream.delta(residuals)
                 alignments.append(payload_of(stream) if residuals else b"")
+            if not number:
+                self.firsts.append([stream.states[-1] for stream in below])
             calls[layer](top)
             union = joined([*(stream.states[-1] for stream in below), top.states[-1]], number)
             self.unions[layer - 1].append(union)
@@ -171,6 +178,11 @@ def good_layers() -> Iterator[Vector]:
     two.end_segment()
     two.frame(referring(0, moved(3), count=4), referring(1, moved(1), removed=[2], count=5), aligned={(1, 0): moved(0)})
     two.frame(delta(moved(0, 1)), delta(added=[71, 72]))
+    two.end_segment()
+    two.frame(referring(0, moved(1), removed=[0], count=4), referring(1, count=5))
+    two.end_segment()
+    two.frame(referring(0, count=4), key(1, 82, 3))
+    two.frame(skip, delta(moved(1)))
     yield two.vector("good/two-layers")
     three = opened(3)
     three.frame(delta(moved(1)), delta(moved(0), added=[73]), delta(removed=[4]), aligned={(2, 1): moved(5)})

@@ -8,7 +8,7 @@ from dataclasses import replace
 from plain_container import DELTA, FRAME_KINDS, HEADER, KEY, REFINE, SKIP, Fields, Limits, Packet, packets, refuse
 from plain_header import Header, read_header
 from plain_payload import corrections, delta, key
-from plain_state import State, digest
+from plain_state import State, digest, wrapped
 
 IDS_OF_A_LAYER = 1 << 50
 
@@ -41,13 +41,13 @@ def decode_layers(data: bytes, top: int = 1) -> Iterator[list[State]]:
             told.setdefault(packet.frame, []).append(packet)
     assert header is not None
     shown: list[State] | None = None
-    first: list[State] | None = None
+    first: tuple[list[State], list[State]] | None = None
     for packet in frames:
         _, body = corrections(packet, header)
         known = {each.layer: each for each in [Refinement(each, header.layers) for each in told.get(packet.frame, [])]}
         refinements = [known.get(layer) for layer in range(1, top + 1)]
         shown, own = frame(body, refinements, header, shown, first, limits)
-        first = first or own
+        first = first or (own, shown)
         yield shown
 
 
@@ -56,10 +56,10 @@ def frame(
     refinements: Sequence[Refinement | None],
     header: Header,
     before: list[State] | None,
-    first: list[State] | None,
+    first: tuple[list[State], list[State]] | None,
     limits: Limits,
 ) -> tuple[list[State], list[State]]:
-    """The blocks of a frame, and the same before they are aligned."""
+    """The blocks of a frame, and the same before they are aligned. `first`: both, of the first keyframe."""
     if packet.kind == SKIP and not any(refinements):
         assert before is not None
         unchanged = [replace(block, frame=packet.frame) for block in before]
@@ -70,21 +70,42 @@ def frame(
     for layer, each in enumerate([packet, *(refinement.block for refinement in refinements if refinement)]):
         if each.kind == KEY and packet.kind != KEY:
             refuse("frame-order")
-        own.append(block(each, layer, header, before, first, limits))
+        own.append(block(each, layer, header, before, first[0] if first else None, limits))
         if not layer * IDS_OF_A_LAYER <= own[-1].next_id <= (layer + 1) * IDS_OF_A_LAYER:
             refuse("bad-payload")
     top = refinements[-1]
     assert top is not None
     aligned = list(own)
+    for layer, each in enumerate([packet, *(refinement.block for refinement in refinements[:-1] if refinement)]):
+        if first and each.kind == KEY and refers(each):
+            aligned[layer] = as_in_first(own[layer], first[0][layer], first[1][layer])
     for layer, change in enumerate(top.alignments):
         if change is not None:
-            _, state = delta(change, header, own[layer], limits)
+            _, state = delta(change, header, aligned[layer], limits)
             if state.ids != own[layer].ids:
                 refuse("bad-payload")
             aligned[layer] = replace(state, frame=packet.frame)
     if digest(joined(aligned), sum(header.channels)) != top.digest:
         refuse("digest-mismatch")
     return aligned, own
+
+
+def refers(packet: Packet) -> bool:
+    """Whether a KEY refers to the first one: its reference lies behind digest, next id and number of Gaussians."""
+    return packet.payload[20] == 1
+
+
+def as_in_first(block: State, own: State, shown: State) -> State:
+    """The block of a KEY, each Gaussian of the first keyframe `shown` as far from its `own` values as there."""
+    by = {
+        name: [after - before for before, after in zip(*rows, strict=True)]
+        for name, rows in zip(own.ids, zip(own.rows, shown.rows, strict=True), strict=True)
+    }
+    moved = [
+        [wrapped(value + step) for value, step in zip(row, by.get(name, [0] * len(row)), strict=True)]
+        for name, row in zip(block.ids, block.rows, strict=True)
+    ]
+    return replace(block, rows=moved)
 
 
 def joined(blocks: Sequence[State]) -> State:

@@ -22,14 +22,21 @@ interface Block {
   nextId: bigint;
 }
 
+/** By how much the first keyframe's rows of the base differ in the whole scene: its rows by id, a column after the other. */
+interface Offsets {
+  readonly rows: ReadonlyMap<bigint, number>;
+  readonly columns: readonly Int32Array[];
+}
+
 const NO_SLOTS = new Uint32Array(0);
 
 export class Union {
   private readonly channels: readonly number[];
   private state: State | null = null;
   private blocks: [Block, Block] = [{ count: 0, nextId: 0n }, { count: 0, nextId: LAYER_IDS }];
-  /** Payloads of the first keyframe, for those that refer to it. */
-  private firsts: readonly [Uint8Array, Uint8Array] | null = null;
+  /** The first keyframe, for those that refer to it. */
+  private firsts: { readonly base: Uint8Array; readonly refinement: Refinement } | null = null;
+  private firstOffsets: Offsets | null = null;
 
   constructor(
     private readonly header: StreamHeader,
@@ -52,13 +59,15 @@ export class Union {
   }
 
   /** Keeps the first keyframe for others that refer to it. */
-  keepFirst(base: Uint8Array, { block }: Refinement): void {
-    this.firsts ??= [base.slice(), block.slice()];
+  keepFirst(base: Uint8Array, refinement: Refinement): void {
+    const { block, alignments } = refinement;
+    this.firsts ??= { base: base.slice(), refinement: { ...refinement, block: block.slice(), alignments: alignments.map((each) => each.slice()) } };
   }
 
   /** Whether a keyframe needs the first one. */
   refersToFirst(base: FramePacket, { block }: Refinement): boolean {
-    return this.decoders().some((decoder, number) => decoder.refersToFirst(number === 0 ? base.payload : block));
+    const [low, high] = this.decoders();
+    return low.refersToFirst(base.payload) || high.refersToFirst(block);
   }
 
   /** A frame of no use any more: a keyframe must come. */
@@ -83,18 +92,21 @@ export class Union {
   private key(base: FramePacket, refinement: Refinement | null): [State, UnionStep] {
     if (refinement?.kind !== "key") refuse("missing-key", `the keyframe at frame ${base.frame} lacks its refinement`);
     if (base.frame === 0) this.keepFirst(base.payload, refinement);
-    const packets = [base, { kind: "key" as FrameKind, frame: base.frame, payload: refinement.block }];
-    const [low, high] = this.decoders().map((decoder, number) => {
-      if (this.firsts !== null) decoder.keepFirst(this.firsts[number]);
-      decoder.apply(packets[number], true);
-      return decoder.integers!;
-    });
+    const [below, above] = this.decoders();
+    if (this.firsts !== null) {
+      below.keepFirst(this.firsts.base);
+      above.keepFirst(this.firsts.refinement.block);
+    }
+    below.apply(base, true);
+    above.apply({ kind: "key", frame: base.frame, payload: refinement.block }, true);
+    const [low, high] = [below.integers!, above.integers!];
     checkIds(high);
     checkCount(low.count + high.count, this.limits.gaussians);
     const state = new State(this.channels, this.header.lattice, Math.ceil((low.count + high.count) * ROOM));
     state.copyFrom(low);
     append(state, high);
     this.blocks = [low, high].map(({ count, nextId }) => ({ count, nextId })) as [Block, Block];
+    if (base.frame > 0 && below.refersToFirst(base.payload)) this.alignAsInFirst(state);
     this.align(state, refinement);
     this.check(state, refinement);
     state.dequantise(allRows(state.count), ALL_GROUPS);
@@ -145,6 +157,50 @@ export class Union {
     const slots = state.placesOf(touched);
     state.change(slots, residuals);
     return slots;
+  }
+
+  /** A keyframe's rows of the base that are in the first keyframe, too, have the offsets of there. */
+  private alignAsInFirst(state: State): void {
+    const { rows, columns } = (this.firstOffsets ??= this.offsetsOfFirst());
+    const here: [number, number][] = [];
+    for (let row = 0; row < this.blocks[0].count; row++) {
+      const first = rows.get(state.id(row));
+      if (first !== undefined) here.push([row, first]);
+    }
+    const all = rows.size;
+    const residuals = this.channels.map((channels, group) => {
+      const values = new Int32Array(channels * here.length);
+      for (let channel = 0; channel < channels; channel++) {
+        here.forEach(([, first], place) => (values[channel * here.length + place] = columns[group][channel * all + first]));
+      }
+      return channels === 0 ? null : values;
+    });
+    state.change(state.placesOf(Uint32Array.from(here, ([row]) => row)), residuals);
+  }
+
+  private offsetsOfFirst(): Offsets {
+    const { base, refinement } = this.firsts!;
+    const [decoder] = this.decoders();
+    decoder.apply({ kind: "key", frame: 0, payload: base }, true);
+    const own = decoder.integers!;
+    const aligned = new State(this.channels, this.header.lattice, own.count);
+    aligned.copyFrom(own);
+    const { blocks } = this;
+    this.blocks = [{ count: own.count, nextId: own.nextId }, blocks[1]];
+    this.align(aligned, refinement);
+    this.blocks = blocks;
+    const rows = new Map(Array.from({ length: own.count }, (_, row) => [own.id(row), row]));
+    const columns = this.channels.map((channels, group) => {
+      const values = new Int32Array(channels * own.count);
+      for (let channel = 0; channel < channels; channel++) {
+        for (let row = 0; row < own.count; row++) {
+          const at = own.width * own.order[row] + own.offsets[group] + channel;
+          values[channel * own.count + row] = aligned.integers[at] - own.integers[at];
+        }
+      }
+      return values;
+    });
+    return { rows, columns };
   }
 
   private check(state: State, { digest, layer }: Refinement): void {

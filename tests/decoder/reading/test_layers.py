@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from decogs.codec.packets.refinement import read_refinement
+from decogs.codec.packets.syntax import refers_to_first
 from decogs.codec.scene.state import ARRAYS, same_values
 from decogs.decoder.reading.damage import Damage
 from decogs.decoder.reading.info import info
@@ -108,6 +110,19 @@ def test_facts_name_the_layers(both: tuple[Path, Path]) -> None:
     assert sum(facts.byte_table.totals) == facts.file_bytes
     assert next(line for line in summary_lines(facts) if line.startswith("layer")).endswith("30.0 dB of the whole")
     assert facts.to_json()["header"]["layers"][0]["psnr"] == 30.0
+
+
+def test_keyframes_that_refer_to_the_first_say_offsets_once(segmented_stream, tmp_path: Path) -> None:
+    """But for those of Gaussians that came since."""
+    packets = packets_of(layered(segmented_stream.path, tmp_path / "layered.dgs"))
+    refined = {packet.frame: read_refinement(packet) for packet in packets if packet.kind == PacketKind.REFINE}
+    (first,) = refined[0].alignments
+    referring = [packet.frame for packet in packets if refers_to_first(packet)]
+    assert first is not None
+    assert referring
+    for frame in referring:
+        (again,) = refined[frame].alignments
+        assert again is None or len(again.payload) < len(first.payload) / 2
 
 
 # --- damage ---------------------------------------------------------------------------------------------------------
