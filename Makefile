@@ -148,7 +148,7 @@ wheels: $(ZIG_ENV)/ready ## build the sdist and a wheel for every platform into 
 	$(ZIG_ENV)/bin/python release/wheels.py $(WHEELS)
 	$(ZIG_ENV)/bin/python release/check.py $(WHEELS)/*.whl
 
-# Twice, of what is committed: a release is one that anyone can build again (docs/releasing.md).
+# Twice, of what is committed: a release is one that anyone can build again (release/README.md).
 release: $(ZIG_ENV)/ready player/node_modules/ready ## build all that is published into build/release, twice, and compare the bytes
 	$(ZIG_ENV)/bin/python release/release.py build/release
 

@@ -29,6 +29,7 @@ from decogs.encoder.packing.commands import pack_parser
 from decogs.encoder.parts.commands import join_parser
 from decogs.rig.calibration.commands import calibrate_parser
 from decogs.rig.synchronisation.commands import sync_parser
+from decogs.takes.commands import make_parser
 
 SHARE = Path(__file__).parent
 PARSERS = (
@@ -41,11 +42,12 @@ PARSERS = (
     export_parser,
     info_parser,
     join_parser,
+    make_parser,
     pack_parser,
     sync_parser,
     view_parser,
 )
-FOLDERS = {"rig_dir", "rigs", "rig"}
+FOLDERS = {"rig_dir", "rigs", "rig", "new"}
 FILES = {
     "output",
     "stream",
@@ -58,6 +60,7 @@ FILES = {
     "convergence_log",
     "sync",
     "recipe",
+    "takes",
 }
 """What arguments name, by what they set."""
 EXIT_STATUS = """0: all went well. 2: an error, which one line on stderr names. 75: try again (parts of a take alone).

@@ -19,7 +19,7 @@ from packaging.requirements import Requirement
 from decogs.formats.system.kernels import INSTRUCTION_SETS, kernel_path
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "bench")
+LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "takes", "bench")
 INSTALLED = metadata.distribution("decogs")
 
 
@@ -144,7 +144,7 @@ COMMANDS = sorted(entry.name for entry in INSTALLED.entry_points if entry.group 
 
 def test_there_are_these_commands() -> None:
     names = ("analyze", "bench", "calibrate", "decode", "edit", "encode", "export", "info", "join")
-    names += ("pack", "sync", "view")
+    names += ("make", "pack", "sync", "view")
     assert [f"decogs-{name}" for name in names] == COMMANDS
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "bench")
+LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "takes", "bench")
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ else:
     import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "bench")
+LAYERS = ("formats", "codec", "decoder", "rig", "encoder", "takes", "bench")
 
 
 @pytest.fixture(scope="module")

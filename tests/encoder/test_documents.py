@@ -35,10 +35,11 @@ from decogs.formats.rigs import open_rig
 from decogs.formats.stream.container import SIGNATURE
 from decogs.rig.calibration.commands import calibrate_main
 from decogs.rig.synchronisation.commands import sync_main
+from decogs.takes.commands import make_main
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
-LAYERS = ("formats", "codec", "decoder", "encoder", "bench", "player")
+LAYERS = ("formats", "codec", "decoder", "encoder", "takes", "bench", "player")
 DOCUMENTS = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -56,6 +57,7 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-export": export_main,
     "decogs-info": info_main,
     "decogs-join": join_main,
+    "decogs-make": make_main,
     "decogs-pack": pack_main,
     "decogs-sync": sync_main,
     "decogs-view": view_main,
@@ -178,7 +180,7 @@ def test_what_is_shown_runs(document: Path, at_the_rig: Path, monkeypatch: pytes
 
 def test_commands_are_found() -> None:
     """The reader above would pass with none."""
-    assert len(commands_of(ROOT / "README.md")) == 9
+    assert len(commands_of(ROOT / "README.md")) == 10
     assert sum(len(commands_of(document)) for document in DOCS) > 25
     assert sum(len(python_of(document)) for document in DOCS) >= 3
 

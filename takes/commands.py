@@ -1,0 +1,101 @@
+"""decogs-make: takes brought up to date. Only arguments, terminal output and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from decogs.formats.cli.command_line import (
+    USER_ERROR,
+    Parser,
+    number_of_threads,
+    print_text,
+    printable,
+    progress,
+    run,
+    size_text,
+)
+from decogs.formats.errors import DecogsError, UsageError
+
+
+def make_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-make``: take files to all that they deliver."""
+    parser = make_parser()
+    return run(parser, lambda: _make(parser.parse_args(arguments)), extra="encode")
+
+
+def make_parser() -> Parser:
+    """The options of ``decogs-make``."""
+    parser = Parser(
+        prog="decogs-make",
+        description="Bring what takes deliver up to date: encode, edit and write what would be another now.",
+        epilog="docs/takes.md describes take files. What this has not made is never replaced.",
+    )
+    parser.add_argument(
+        "takes", nargs="+", metavar="TAKE.TOML", help="take files; paths in them count from their folders"
+    )
+    parser.add_argument(
+        "--new", metavar="RIG_DIR", help="write TAKE.TOML, a first one for a rig or for a folder of videos"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="only say what would be done, and why")
+    parser.add_argument(
+        "-j", "--jobs", type=number_of_threads, default=1, metavar="N", help="steps at a time (default 1)"
+    )
+    parser.add_quiet()
+    return parser
+
+
+def _make(options: argparse.Namespace) -> int:
+    from .making import Making, check_apart
+    from .take_file import read_take
+
+    paths = [Path(name) for name in options.takes]
+    if options.new is not None:
+        return _new(paths, Path(options.new), quiet=options.quiet)
+    takes = [read_take(path) for path in paths]
+    check_apart(takes)
+    failed = False
+    rows: list[tuple[str, ...]] = []
+    for take in takes:
+        try:
+            making = Making(take, lambda line: print_text(line, to_stderr=True))
+            outcomes = making.plan() if options.dry_run else making.make(options.jobs)
+        except DecogsError as error:
+            print_text(f"{printable(str(take.path))}: {error}", to_stderr=True)
+            failed = True
+            continue
+        for outcome in outcomes:
+            failed |= outcome.is_bad
+            rows.append((str(take.path), *outcome.row(size_text)))
+            if options.dry_run and outcome.why:
+                rows.append(("", "", f"$ {outcome.step.text}"))
+    print_text("\n".join(_table(rows)))
+    return USER_ERROR if failed else 0
+
+
+def _new(paths: Sequence[Path], rig_dir: Path, *, quiet: bool) -> int:
+    from .new_take import new_take
+    from .take_file import read_take
+
+    if len(paths) != 1:
+        raise UsageError("`new`: one take file is written at a time; name one")
+    (path,) = paths
+    if path.exists():
+        raise UsageError(f"{path}: is there already; name another file")
+    with progress("analysing", "step", quiet=quiet) as on_step:
+        text = new_take(rig_dir, path.parent, on_step)
+    with path.open("x", encoding="utf-8") as file:
+        file.write(text)
+    read_take(path)
+    print_text(f"{printable(str(path))}: written; edit it, then: decogs-make {printable(str(path))}")
+    return 0
+
+
+def _table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows in columns, but for the last cells, which are as long as they like."""
+    widths = [max((len(row[column]) for row in rows if len(row) > column + 1), default=0) for column in range(5)]
+    return [
+        "  ".join([*(cell.ljust(w) for cell, w in zip(row[:-1], widths, strict=False)), row[-1]]).rstrip()
+        for row in rows
+    ]

@@ -1,0 +1,213 @@
+"""Brings a take up to date: does the steps whose results are not what they would be now, and tells what was done."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from decogs.formats.errors import DecogsError, UsageError
+from decogs.formats.rigs import files_of, open_rig
+
+from .child import run_command
+from .records import STAGING, Made, Records, foreign_file
+from .steps import Step
+from .take_file import Take
+
+CURRENT, MADE, FAILED, LEFT_OUT, DUE = "up to date", "made", "failed", "left out", "due"
+_READ_BY = {"--masks", "--background-plate", "--ignore", "--keyframe", "--audio", "--sync", "--camera", "--subject"}
+_READ_BY |= {"--rig", "--intrinsics"}
+"""Options whose values may name what is read."""
+_OF_RIGS = ("decogs-encode", "decogs-sync")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a step: ``state``; ``why``: it was done, or not; ``size`` of what is there in bytes."""
+
+    step: Step
+    state: str
+    why: str = ""
+    seconds: float = 0.0
+    size: int = 0
+
+    @property
+    def is_bad(self) -> bool:
+        """Whether there is nothing, or what is there is not what would be now, and that is not for want of asking."""
+        return self.state in (FAILED, LEFT_OUT)
+
+    def row(self, size_text: Callable[[int], str]) -> tuple[str, ...]:
+        """Step, state, seconds, size, and what it made or why."""
+        seconds = f"{self.seconds:.1f} s" if self.seconds else ""
+        told = self.step.place if self.state in (MADE, CURRENT) else self.why
+        return self.step.name, self.state, seconds, size_text(self.size) if self.size else "", told
+
+
+class Making:
+    """The making of one take. ``tell(line)`` is called with what happens."""
+
+    def __init__(self, take: Take, tell: Callable[[str], None]) -> None:
+        self._take, self._tell = take, tell
+        self._output = take.folder / take.output
+        self._records = Records(self._output)
+        self._lock = threading.Lock()
+
+    def plan(self) -> list[Outcome]:
+        """What would be done, and why; a step is due, too, if one is that it reads from."""
+        due: set[str] = set()
+        outcomes = []
+        for step in self._take.steps:
+            why = self._why_due(step, due)
+            if why:
+                due.add(step.place)
+            outcomes.append(Outcome(step, DUE if why else CURRENT, why, size=0 if why else self._size(step)))
+        return outcomes
+
+    def make(self, jobs: int) -> list[Outcome]:
+        """Does what is due, ``jobs`` steps at a time. A step that fails leaves out those that read from it, alone."""
+        outcomes: dict[str, Outcome] = {}
+        left = list(self._take.steps)
+        with ThreadPoolExecutor(jobs) as pool:
+            running: dict[Future[Outcome], Step] = {}
+            while left or running:
+                for step in [each for each in left if self._can_begin(each, left, running.values())]:
+                    if len(running) == jobs:
+                        break
+                    left.remove(step)
+                    running[pool.submit(self._brought_up, step, outcomes, shown=jobs == 1)] = step
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    step = running.pop(future)
+                    outcomes[step.name] = future.result()
+        if not any(outcome.is_bad for outcome in outcomes.values()):
+            shutil.rmtree(self._output / STAGING, ignore_errors=True)
+        return [outcomes[step.name] for step in self._take.steps]
+
+    def _can_begin(self, step: Step, left: Sequence[Step], running: Iterable[Step]) -> bool:
+        return not any(_reads(step, other) for other in (*left, *running) if other is not step)
+
+    def _why_due(self, step: Step, due: set[str]) -> str:
+        """Why a step has to be done; empty if it has not."""
+        if any(name in due for name in step.inputs):
+            return "what it reads will be another"
+        made = self._records.made.get(step.name)
+        if made is None:
+            return "was never made"
+        if self._fingerprint(step) != made.fingerprint:
+            return "what it reads, its options or the version is another"
+        return (
+            "" if self._records.digests(self._take.folder / step.place) == made.files else "what it made is not there"
+        )
+
+    def _fingerprint(self, step: Step) -> str:
+        return self._records.fingerprint(step, self._take.folder, _read_by(step, self._take.folder))
+
+    def _brought_up(self, step: Step, outcomes: dict[str, Outcome], *, shown: bool) -> Outcome:
+        needed = [outcomes[each.name] for each in self._take.steps if _reads(step, each)]
+        if failed := next((each for each in needed if each.state in (FAILED, LEFT_OUT)), None):
+            return Outcome(step, LEFT_OUT, f"needs {failed.step.name}")
+        with self._lock:
+            self._finish_move(step)
+            why = self._why_due(step, set())
+            if not why:
+                return Outcome(step, CURRENT, size=self._size(step))
+            fingerprint = self._fingerprint(step)
+            place = self._take.folder / step.place
+            foreign = foreign_file(self._records.digests(place), self._records.made.get(step.name))
+        if foreign is not None:
+            name = f"{step.place}/{foreign}" if foreign else step.place
+            return self._failed(step, f"{name} is not what this made; move it away, or name another file")
+        return self._done(step, fingerprint, why, shown=shown)
+
+    def _done(self, step: Step, fingerprint: str, why: str, *, shown: bool) -> Outcome:
+        staging = self._output / STAGING / step.name
+        resumes = self._begin(step, staging, fingerprint)
+        self._tell(f"{step.name}: {why}\n  $ {step.text}")
+        began = time.monotonic()
+        code, said = run_command([*step.line(self._staged(step)), *resumes], self._take.folder, shown=shown)
+        seconds = time.monotonic() - began
+        if code:
+            return self._failed(step, said or f"{step.command} ended with code {code}", seconds)
+        with self._lock:
+            made = self._records.made.get(step.name)
+            place = self._take.folder / self._staged_place(step)
+            self._records.made[step.name] = Made(
+                fingerprint, self._records.digests(place), {} if made is None else made.files, seconds
+            )
+            del self._records.begun[step.name]
+            self._records.save()
+            self._finish_move(step)
+        return Outcome(step, MADE, why, seconds, self._size(step))
+
+    def _begin(self, step: Step, staging: Path, fingerprint: str) -> list[str]:
+        """Makes room for a step; what it left of the same work stays, and is gone on with where the command can."""
+        with self._lock:
+            goes_on = self._records.begun.get(step.name) == fingerprint and step.command == "decogs-encode"
+            if not goes_on:
+                shutil.rmtree(staging, ignore_errors=True)
+            (self._take.folder / self._staged_place(step)).parent.mkdir(parents=True, exist_ok=True)
+            self._records.begun[step.name] = fingerprint
+            self._records.save()
+        return ["--resume"] if goes_on and any(staging.rglob("*.part")) else []
+
+    def _finish_move(self, step: Step) -> None:
+        """Puts what a step has made in its place, where that is not done."""
+        made = self._records.made.get(step.name)
+        staged, place = (self._take.folder / each for each in (self._staged_place(step), step.place))
+        if made is None or not staged.exists() or self._records.digests(staged) != made.files:
+            return
+        foreign = foreign_file(self._records.digests(place), made)
+        if foreign is not None:
+            return
+        if place.is_dir():
+            shutil.rmtree(place)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(staged, place)
+        made.replaced = {}
+        self._records.save()
+
+    def _staged(self, step: Step) -> str:
+        return f"{self._take.output}/{STAGING}/{step.name}/{step.output.removeprefix(f'{self._take.output}/')}"
+
+    def _staged_place(self, step: Step) -> str:
+        return f"{self._take.output}/{STAGING}/{step.name}/{step.place.removeprefix(f'{self._take.output}/')}"
+
+    def _failed(self, step: Step, why: str, seconds: float = 0.0) -> Outcome:
+        self._tell(f"{step.name}: {why}")
+        return Outcome(step, FAILED, why, seconds)
+
+    def _size(self, step: Step) -> int:
+        place = self._take.folder / step.place
+        files = place.rglob("*") if place.is_dir() else [place]
+        return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def _reads(step: Step, other: Step) -> bool:
+    return other.output.rstrip("/") in step.inputs
+
+
+def _read_by(step: Step, folder: Path) -> list[str]:
+    """The files and folders that a step reads, as far as its words name them."""
+    inputs = list(step.inputs)
+    if step.command in _OF_RIGS:
+        with suppress(DecogsError):
+            rig = str(folder / inputs[0])
+            inputs = sorted({os.path.relpath(file, folder) for file, _ in files_of(open_rig(rig))})
+    values = [word.partition("=")[2] for word in step.words if word.partition("=")[0] in _READ_BY]
+    return [*inputs, *(value for value in values if value and (folder / value).exists())]
+
+
+def check_apart(takes: Sequence[Take]) -> None:
+    """Raises UsageError where two takes make the same folder."""
+    seen: dict[Path, Path] = {}
+    for take in takes:
+        place = (take.folder / take.output).resolve()
+        if place in seen:
+            raise UsageError(f"{take.path}: its output is that of {seen[place]}; name another one")
+        seen[place] = take.path

@@ -1,0 +1,111 @@
+"""What was made, of what: a file in the folder of what is made, beside it.
+
+A step is up to date while nothing that its result depends on is another: command, options, version, and the contents of
+all files that it reads. What lies in its place is only replaced if it is what the step made.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from decogs import __version__
+from decogs.formats.errors import UsageError
+from decogs.formats.files.outputs import write_whole
+
+from .steps import Step
+
+FILE = ".decogs-make.json"
+STAGING = ".decogs-making"
+"""Folder in which steps work; nothing in it is ever looked at by people."""
+_PIECE = 1 << 20
+
+
+@dataclass
+class Made:
+    """Of one step: the ``fingerprint`` of what it depends on, the ``files`` that it made, by their path in its place,
+    with their digests, and those that lay there before, until they are replaced; CPU is not known, ``seconds`` are."""
+
+    fingerprint: str
+    files: dict[str, str]
+    replaced: dict[str, str] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+class Records:
+    """The record of a take: what its steps made, and what was being made; digests of files are kept while their sizes
+    and times stay."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / FILE
+        document = self._read()
+        self._digests: dict[str, list[Any]] = document.get("digests", {})
+        self.made = {name: Made(**entry) for name, entry in document.get("made", {}).items()}
+        self.begun: dict[str, str] = document.get("begun", {})
+
+    def save(self) -> None:
+        """Writes it, whole or not at all."""
+        made = {name: asdict(entry) for name, entry in self.made.items()}
+        document = {"version": 1, "made": made, "begun": self.begun, "digests": self._digests}
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(self._path, json.dumps(document, indent=1, sort_keys=True).encode())
+
+    def digests(self, place: Path) -> dict[str, str]:
+        """The digest of each file in a place, by its path there; of a file, "" is its path. Empty where nothing is."""
+        return {
+            "" if file == place else file.relative_to(place).as_posix(): self._digest(file) for file in _files(place)
+        }
+
+    def fingerprint(self, step: Step, folder: Path, read: Sequence[str]) -> str:
+        """Of all that a step's result depends on; ``read``: the files and folders that it reads, from ``folder``."""
+        inputs = {name: self.digests(folder / name) for name in read}
+        told = json.dumps([__version__, step.line(), inputs], sort_keys=True)
+        return hashlib.sha256(told.encode()).hexdigest()
+
+    def _digest(self, file: Path) -> str:
+        status = file.stat()
+        stamp = [status.st_size, status.st_mtime_ns, status.st_ino]
+        known = self._digests.get(str(file))
+        if known is not None and known[:3] == stamp:
+            return str(known[3])
+        digest = hashlib.sha256()
+        with file.open("rb") as opened:
+            while piece := opened.read(_PIECE):
+                digest.update(piece)
+        self._digests[str(file)] = [*stamp, digest.hexdigest()]
+        return digest.hexdigest()
+
+    def _read(self) -> dict[str, Any]:
+        try:
+            document = json.loads(self._path.read_bytes())
+        except FileNotFoundError:
+            return {}
+        except ValueError:
+            document = None
+        if not isinstance(document, dict) or document.get("version") != 1:
+            raise UsageError(
+                f"{self._path}: is no record of what was made; move the folder away, or name another output"
+            )
+        return document
+
+
+def _files(place: Path) -> Iterator[Path]:
+    """All files in a folder, in order of their paths, or the file; links are followed but to folders."""
+    if place.is_file():
+        yield place
+    for folder, folders, names in os.walk(place):
+        folders[:] = sorted(name for name in folders if name != STAGING)
+        yield from (Path(folder) / name for name in sorted(names) if (Path(folder) / name).is_file())
+
+
+def foreign_file(there: Mapping[str, str], made: Made | None) -> str | None:
+    """One of the files that are ``there`` in a step's place which the step did not make; None if it made all."""
+    for name, digest in there.items():
+        if made is None or digest not in (made.files.get(name), made.replaced.get(name)):
+            return name
+    return None
