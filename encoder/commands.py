@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from decogs.codec.header.profiles import PROFILES, Profile
@@ -25,9 +26,11 @@ from decogs.formats.cli.command_line import (
     warn_as,
     whole_number,
 )
+from decogs.formats.cli.option_tables import words_of
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.files.unicode_forms import composed
 from decogs.formats.frames.ranges import frame_range
+from decogs.formats.rigs.fields import read_toml
 from decogs.rig.mattes.options import add_matte_options, matte_choice
 from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
 
@@ -39,10 +42,31 @@ if TYPE_CHECKING:
     from .output.observer import EncodeObserver
 
 
+_NOT_CONFIGURED = ("output", "quiet", "help", "version", "config", "live")
+"""What no take file says of an encode, by what options set."""
+
+
 def encode_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-encode``: a rig folder to a .dgs stream."""
     parser = encode_parser()
-    return run(parser, lambda: _encode_or_part(parser, parser.parse_args(arguments)), extra="encode")
+    return run(parser, lambda: _encode_or_part(parser, _options(parser, arguments)), extra="encode")
+
+
+def _options(parser: Parser, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """What is given, on top of what the take file that is named says of an encode."""
+    options: argparse.Namespace = parser.parse_args(arguments)
+    if options.config is None:
+        return options
+    path = Path(options.config)
+    fields = read_toml(path).values
+    table, rig = fields.get("encode", {}), fields.get("rig")
+    if not isinstance(table, dict):
+        raise UsageError(f"{path}: encode is no table")
+    words = words_of(parser, table, f"{path}: [encode]", _NOT_CONFIGURED)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if options.rig_dir is None and options.live is None and isinstance(rig, str):
+        words.append(str(path.parent / rig))
+    return argparse.Namespace(**vars(parser.parse_args([*words, *given])))
 
 
 def encode_parser() -> Parser:
@@ -65,6 +89,11 @@ def encode_parser() -> Parser:
         required=True,
         metavar="SCENE.DGS",
         help="the stream to write, in place of one of that name; - for stdout",
+    )
+    parser.add_argument(
+        "--config",
+        metavar="TAKE.TOML",
+        help="a take file, whose rig and [encode] count where nothing else is given (docs/takes.md)",
     )
     parser.add_quiet()
     _add_input(parser.add_argument_group("input"))

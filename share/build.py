@@ -29,7 +29,7 @@ from decogs.encoder.packing.commands import pack_parser
 from decogs.encoder.parts.commands import join_parser
 from decogs.rig.calibration.commands import calibrate_parser
 from decogs.rig.synchronisation.commands import sync_parser
-from decogs.takes.commands import make_parser
+from decogs.takes.commands import make_parser, report_parser
 
 SHARE = Path(__file__).parent
 PARSERS = (
@@ -44,6 +44,7 @@ PARSERS = (
     join_parser,
     make_parser,
     pack_parser,
+    report_parser,
     sync_parser,
     view_parser,
 )

@@ -99,3 +99,40 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
         "  ".join([*(cell.ljust(w) for cell, w in zip(row[:-1], widths, strict=False)), row[-1]]).rstrip()
         for row in rows
     ]
+
+
+def report_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-report``: a stream beside what was recorded, as one page."""
+    parser = report_parser()
+    return run(parser, lambda: _report(parser.parse_args(arguments)), extra="encode")
+
+
+def report_parser() -> Parser:
+    """The options of ``decogs-report``."""
+    parser = Parser(
+        prog="decogs-report",
+        description="Write a page for whoever gets a stream: how it looks, and how far it is from what was recorded.",
+        epilog="The page needs no other file and no network.",
+    )
+    parser.add_argument("stream", help="the .dgs file")
+    parser.add_argument("-o", "--output", required=True, metavar="REPORT.HTML", help="the page to write")
+    parser.add_argument("--rig", required=True, metavar="RIG_DIR", help="the rig it was encoded from")
+    parser.add_argument("--title", metavar="TEXT", help="of the page (default: the stream's, or its file's name)")
+    parser.add_quiet()
+    return parser
+
+
+def _report(options: argparse.Namespace) -> None:
+    from decogs.decoder.reading.stream import open_stream
+    from decogs.formats.files.outputs import Output, check_outputs, files_read, write_whole
+
+    from .report import report
+
+    output, stream = Path(options.output), Path(options.stream)
+    check_outputs([Output("output", output)], files_read(stream=stream))
+    with open_stream(stream) as opened:
+        title = options.title or opened.header.presentation.title or stream.stem
+    with progress("comparing", quiet=options.quiet) as on_frame:
+        page = report(stream, options.rig, title, on_frame)
+    write_whole(output, page.encode())
+    print_text(f"{printable(str(output))}: {size_text(len(page))}")

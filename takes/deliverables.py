@@ -11,11 +11,12 @@ from typing import Any
 @dataclass(frozen=True)
 class Kind:
     """``file``: what is made where the table does not name it, a folder if it ends with a slash; ``options`` of the
-    ``command`` that the table may replace."""
+    ``command`` that the table may replace; ``reads_rig``: it is told the rig, too."""
 
     command: str
     file: str
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    reads_rig: bool = False
 
 
 CAMERAS = ("view", "camera", "orbit", "spiral")
@@ -30,6 +31,7 @@ KINDS = {
     "exr": Kind("decogs-decode", "exr/frame_####.exr"),
     "usd": Kind("decogs-export", "scene.usdc"),
     "blender": Kind("decogs-export", "blender.usdc", {"up": "Z"}),
+    "report": Kind("decogs-report", "report.html", reads_rig=True),
     "splats": Kind("decogs-export", "splats/frame_####.spz"),
 }
 """By the name of a table in [deliver], or by its member ``kind``."""

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from .take_file import Take
 
 CURRENT, MADE, FAILED, LEFT_OUT, DUE = "up to date", "made", "failed", "left out", "due"
 _READ_BY = {"--masks", "--background-plate", "--ignore", "--keyframe", "--audio", "--sync", "--camera", "--subject"}
-_READ_BY |= {"--rig", "--intrinsics"}
+_READ_BY |= {"--intrinsics"}
 """Options whose values may name what is read."""
 _OF_RIGS = ("decogs-encode", "decogs-sync")
 
@@ -194,13 +193,22 @@ def _reads(step: Step, other: Step) -> bool:
 
 def _read_by(step: Step, folder: Path) -> list[str]:
     """The files and folders that a step reads, as far as its words name them."""
+    told = [word.partition("=") for word in step.words]
+    named = [value for option, _, value in told if option in _READ_BY and value and (folder / value).exists()]
+    rigs = [value for option, _, value in told if option == "--rig"]
     inputs = list(step.inputs)
     if step.command in _OF_RIGS:
-        with suppress(DecogsError):
-            rig = str(folder / inputs[0])
-            inputs = sorted({os.path.relpath(file, folder) for file, _ in files_of(open_rig(rig))})
-    values = [word.partition("=")[2] for word in step.words if word.partition("=")[0] in _READ_BY]
-    return [*inputs, *(value for value in values if value and (folder / value).exists())]
+        rigs.append(inputs.pop(0))
+    return [*inputs, *named, *(file for rig in rigs for file in _files_of_rig(rig, folder))]
+
+
+def _files_of_rig(rig: str, folder: Path) -> list[str]:
+    """What a rig consists of; all in its folder where it cannot be opened."""
+    try:
+        files = files_of(open_rig(str(folder / rig)))
+        return sorted({os.path.relpath(file, folder) for file, _ in files})
+    except DecogsError:
+        return [rig]
 
 
 def check_apart(takes: Sequence[Take]) -> None:

@@ -73,12 +73,9 @@ class Records:
         known = self._digests.get(str(file))
         if known is not None and known[:3] == stamp:
             return str(known[3])
-        digest = hashlib.sha256()
-        with file.open("rb") as opened:
-            while piece := opened.read(_PIECE):
-                digest.update(piece)
-        self._digests[str(file)] = [*stamp, digest.hexdigest()]
-        return digest.hexdigest()
+        digest = file_digest(file)
+        self._digests[str(file)] = [*stamp, digest]
+        return digest
 
     def _read(self) -> dict[str, Any]:
         try:
@@ -92,6 +89,15 @@ class Records:
                 f"{self._path}: is no record of what was made; move the folder away, or name another output"
             )
         return document
+
+
+def file_digest(path: Path) -> str:
+    """The SHA-256 of a file, hexadecimal."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(_PIECE):
+            digest.update(piece)
+    return digest.hexdigest()
 
 
 def _files(place: Path) -> Iterator[Path]:

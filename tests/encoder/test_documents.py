@@ -35,7 +35,7 @@ from decogs.formats.rigs import open_rig
 from decogs.formats.stream.container import SIGNATURE
 from decogs.rig.calibration.commands import calibrate_main
 from decogs.rig.synchronisation.commands import sync_main
-from decogs.takes.commands import make_main
+from decogs.takes.commands import make_main, report_main
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -59,6 +59,7 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-join": join_main,
     "decogs-make": make_main,
     "decogs-pack": pack_main,
+    "decogs-report": report_main,
     "decogs-sync": sync_main,
     "decogs-view": view_main,
 }

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from decogs.encoder.commands import _options as options_of
+from decogs.encoder.commands import encode_main, encode_parser
 from decogs.formats.errors import DecogsError
 from decogs.takes.commands import make_main
 from decogs.takes.records import FILE, STAGING
@@ -34,6 +36,8 @@ operations = ["clean --opacity 0.02"]
 
 [deliver.page]
 
+[deliver.report]
+
 [deliver.poster]
 view = "cam00"
 
@@ -47,7 +51,7 @@ kind = "exr"
 view = "cam02"
 scale = 0.5
 """
-STEPS = ["encode", "edit", "page", "poster", "turn", "frames"]
+STEPS = ["encode", "edit", "page", "report", "poster", "turn", "frames"]
 
 
 def new_folder(folder: Path) -> Path:
@@ -103,9 +107,9 @@ def test_all_is_made_and_nothing_twice(undisturbed: Path, made: Path, making) ->
 @pytest.mark.parametrize(
     ("old", "new", "again"),
     [
-        ("--opacity 0.02", "--opacity 0.9", ["edit", "page", "poster", "turn", "frames"]),
+        ("--opacity 0.02", "--opacity 0.9", ["edit", "page", "report", "poster", "turn", "frames"]),
         ('view = "cam00"', 'view = "cam03"', ["poster"]),
-        ("Take 3", "Take 4", ["edit", "page", "poster", "turn", "frames"]),
+        ("Take 3", "Take 4", ["edit", "page", "report", "poster", "turn", "frames"]),
         ("scale = 0.5", "scale = 0.25", ["frames"]),
     ],
 )
@@ -177,12 +181,13 @@ def test_what_fails_leaves_the_others(made: Path, making) -> None:
     assert {states[name] for name in STEPS[1:]} == {"left out"}
 
 
+@pytest.mark.slow
 def test_killed_at_any_place_it_makes_the_same(undisturbed: Path, tmp_path: Path) -> None:
     """SIGKILL in each step, one after the other; the command that ran ends, too."""
     take = new_folder(tmp_path / "day")
     program = "import sys; from decogs.takes.commands import make_main; sys.exit(make_main(sys.argv[1:]))"
     command = [sys.executable, "-c", program, str(take)]
-    for step in STEPS[:5]:
+    for step in STEPS[:6]:
         with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
             assert process.stderr is not None
             while not (line := process.stderr.readline()).startswith(f"{step}:"):
@@ -283,3 +288,20 @@ def test_a_first_file_of_bare_videos_places_the_cameras(tmp_path: Path) -> None:
     shutil.rmtree(videos)
     videos.mkdir()
     assert make_main([str(tmp_path / "other.toml"), "--new", str(videos), "-q"]) == 2
+
+
+def test_an_encode_reads_its_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is given beside it counts; a list goes on."""
+    take = tmp_path / "take.toml"
+    take.write_text('rig = "rig"\n[encode]\npreset = "high"\nholdout = ["cam00"]\nscale = 0.5\n[deliver.page]')
+    parser = encode_parser()
+    given = ["--config", str(take), "-o", "x.dgs", "--scale", "0.25", "--holdout", "cam01"]
+    options = options_of(parser, given)
+    assert (options.settings, options.scale, options.holdout) == ("high", 0.25, ["cam00", "cam01"])
+    assert options.rig_dir == str(tmp_path / "rig")
+    assert options_of(parser, [*given, "another"]).rig_dir == "another"
+    take.write_text('rig = "rig"\n[encode]\noutput = "y.dgs"')
+    assert encode_main(["--config", str(take), "-o", "x.dgs"]) == 2
+    assert "'output' is no option of decogs-encode here" in capsys.readouterr().err
+    take.write_text("encode = 1")
+    assert encode_main(["--config", str(take), "-o", "x.dgs"]) == 2

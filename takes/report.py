@@ -1,0 +1,170 @@
+"""A report for whoever gets a take: one page that holds all it shows."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from collections.abc import Iterator, Sequence
+from html import escape
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from decogs import __version__
+from decogs.codec.scene.digest import digest
+from decogs.decoder import decode
+from decogs.decoder.reading.info import StreamInfo, info
+from decogs.decoder.reading.info_text import summary_lines
+from decogs.decoder.reading.stream import open_stream
+from decogs.formats.cli.command_line import size_text
+from decogs.formats.system.callbacks import OnProgress
+from decogs.rig.check.plan import document
+
+from .compared import U8, Compared, Pair, compare, pairs_of
+from .records import file_digest
+
+FRAMES = 12
+"""Of a take, that are compared."""
+_WORST_SHARE = 0.05
+_LOOP_WIDTH = 480
+_PICTURE_WIDTH = 360
+_RED_ERROR = 0.25
+"""Difference, root mean square over colours, that is fully red in a map of errors."""
+_LOW_DB, _HIGH_DB = 20.0, 36.0
+"""Colours of the table of errors run between these."""
+_STYLE = """<style>
+pre { white-space: pre-wrap }
+@media print { video { display: none } table, figure { break-inside: avoid } }
+figure { display: inline-block; margin: 0 12px 12px 0 } figcaption { font-size: 90% }
+table.errors td { text-align: right; min-width: 3em; color: #111 }
+</style>"""
+
+
+def report(stream: Path, rig_dir: str, title: str, on_frame: OnProgress) -> str:
+    """The page, HTML. Raises StreamError, RigError, and UsageError where stream and rig have nothing in common."""
+    facts = info(stream)
+    compared = compare(stream, rig_dir, FRAMES, on_frame)
+    ranked = compared.ranked()
+    worst = ranked[: max(1, round(_WORST_SHARE * len(ranked)))]
+    shown = list(
+        dict.fromkeys((camera, frame) for _, camera, frame in [worst[0], ranked[len(ranked) // 2], ranked[-1]])
+    )
+    pairs = pairs_of(stream, rig_dir, shown)
+    parts = [
+        _STYLE,
+        f"<p>{escape(_in_short(facts, compared))}</p>",
+        _loop(stream),
+        "<h2>Recorded beside shown</h2><p>The worst picture, the middle one and the best; errors in red.</p>",
+        *(_figure(pairs[key]) for key in shown),
+        f"<h2>Errors</h2><p>{escape(_about_errors(compared))}</p>",
+        _error_table(compared),
+        f"<h2>The worst {_WORST_SHARE:.0%}</h2><ul>",
+        *(f"<li>{escape(camera)}, frame {frame}: {dB:.2f} dB</li>" for dB, camera, frame in worst),
+        "</ul><h2>Bytes</h2>",
+        _bytes(facts),
+        "<h2>The stream</h2><pre>",
+        *(escape(line) for line in _facts(stream, facts)),
+        "</pre>",
+    ]
+    return document(title, parts)
+
+
+def _in_short(facts: StreamInfo, compared: Compared) -> str:
+    header, count = facts.header, len(facts.frames)
+    seconds = "" if header.fps is None else f", {count / header.fps:.1f} s"
+    sound = f", {len(facts.sounds)} tracks of sound" if facts.sounds else ", no sound"
+    of_training = [i for i, name in enumerate(compared.cameras) if name not in compared.held_out]
+    values = [f"{_mean(compared, of_training):.1f} dB from its cameras"] if of_training else []
+    if compared.held_out:
+        held_out = [compared.cameras.index(name) for name in compared.held_out]
+        values.append(f"{_mean(compared, held_out):.1f} dB where no camera of the training stood")
+    about = ", ".join(values) or "no camera compared"
+    return f"{count} frames{seconds}, {len(header.cameras)} cameras, {size_text(facts.file_bytes)}{sound}. {about}."
+
+
+def _mean(compared: Compared, rows: Sequence[int]) -> float:
+    return float(np.nanmean(compared.psnr[rows]))
+
+
+def _about_errors(compared: Compared) -> str:
+    of = "the subject's own pixels" if compared.subject else "whole pictures"
+    return f"PSNR in dB of {of}, {len(compared.frames)} frames; cameras marked * were kept out of training."
+
+
+def _error_table(compared: Compared) -> str:
+    rows = ["<tr><th>camera</th>" + "".join(f"<th>{frame}</th>" for frame in compared.frames) + "<th>mean</th></tr>"]
+    for name, values in zip(compared.cameras, compared.psnr, strict=True):
+        mark = "*" if name in compared.held_out else ""
+        known = values[np.isfinite(values)]
+        mean = float(known.mean()) if len(known) else float("nan")
+        rows.append(f"<tr><th>{escape(name)}{mark}</th>" + "".join(map(_cell, (*values.tolist(), mean))) + "</tr>")
+    return f"<div class='wide'><table class='errors'>{''.join(rows)}</table></div>"
+
+
+def _cell(value: float) -> str:
+    if not np.isfinite(value):
+        return "<td>-</td>"
+    share = float(np.clip((value - _LOW_DB) / (_HIGH_DB - _LOW_DB), 0, 1))
+    return f"<td style='background:hsl({120 * share:.0f} 60% 80%)'>{value:.1f}</td>"
+
+
+def _figure(pair: Pair) -> str:
+    error = np.nan_to_num(np.sqrt(pair.error)) / _RED_ERROR
+    grey = cv2.cvtColor(pair.recorded, cv2.COLOR_RGB2GRAY)[..., None].repeat(3, axis=2) // 2
+    red = np.clip(error, 0, 1)[..., None] * np.array([255, 40, 40]) + (1 - np.clip(error, 0, 1))[..., None] * grey
+    pictures = "".join(map(_picture, (pair.recorded, pair.shown, red.astype(np.uint8))))
+    caption = f"{escape(pair.camera)}, frame {pair.frame}: {pair.psnr:.2f} dB"
+    return f"<figure>{pictures}<figcaption>{caption}</figcaption></figure>"
+
+
+def _picture(picture: U8) -> str:
+    width = min(_PICTURE_WIDTH, picture.shape[1])
+    height = max(1, round(picture.shape[0] * width / picture.shape[1]))
+    small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    coded = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1]
+    return f"<img alt='' width='{width}' height='{height}' src='data:image/jpeg;base64,{_text(coded.tobytes())}'> "
+
+
+def _loop(stream: Path) -> str:
+    """A turn around the scene while it plays."""
+    with open_stream(stream) as opened:
+        width = max(camera.width for camera in opened.header.cameras)
+    with tempfile.TemporaryDirectory() as folder:
+        film = Path(folder) / "loop.mp4"
+        decode(stream, film, move="orbit", scale=min(1.0, _LOOP_WIDTH / width))
+        data = _text(film.read_bytes())
+    return f"<video autoplay loop muted playsinline controls src='data:video/mp4;base64,{data}'></video>"
+
+
+def _bytes(facts: StreamInfo) -> str:
+    """A bar for each frame, as high as its logarithm."""
+    sizes = [frame.bytes for frame in facts.frames]
+    most = max(np.log2(max(sizes, default=1) + 1), 1.0)
+    width = max(1.0, 720 / max(1, len(sizes)))
+    bars = "".join(
+        f"<rect x='{i * width:.1f}' y='{60 * (1 - np.log2(size + 1) / most):.1f}' width='{0.8 * width:.1f}' "
+        f"height='{60 * np.log2(size + 1) / most:.1f}' fill='{'#c60' if frame.kind == 'key' else '#357'}'/>"
+        for i, (size, frame) in enumerate(zip(sizes, facts.frames, strict=True))
+    )
+    later = facts.totals["bytes_per_frame_without_first_key"]
+    told = f"First frame {size_text(sizes[0])}" if sizes else "No frame"
+    told += f", later ones {size_text(round(later))} on average; keyframes are orange." if later else "."
+    return f"<svg width='720' height='60' viewBox='0 0 720 60'>{bars}</svg><p>{told}</p>"
+
+
+def _facts(stream: Path, facts: StreamInfo) -> Iterator[str]:
+    """What decogs-info says before its rows of frames, the digests, and what made the page."""
+    for line in summary_lines(facts):
+        if not line:
+            break
+        yield line.replace(str(facts.path), stream.name)
+    yield f"SHA-256      {file_digest(stream)}"
+    with open_stream(stream) as opened:
+        *_, last = opened.frames()
+        yield f"last frame   digest {digest(last.state):016x}"
+    yield f"report       decogs {__version__}"
+
+
+def _text(data: bytes) -> str:
+    return base64.b64encode(data).decode()

@@ -1,0 +1,85 @@
+"""The report of a take: errors against what was recorded, in one page that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from decogs.decoder.reading.stream import open_stream
+from decogs.decoder.rendering.views import render_view
+from decogs.formats.errors import UsageError
+from decogs.formats.rigs import open_rig, read_frames
+from decogs.takes.commands import report_main
+from decogs.takes.compared import compare, pairs_of
+from encode_rig import encode_rig
+
+RIG = Path(__file__).parents[1] / "demo" / "workbench"
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "scene.dgs"
+    encode_rig(RIG, path, "live", frames=slice(2, 5), holdout=["cam04"], scale=0.2, threads=1)
+    return path
+
+
+def test_errors_are_those_of_the_decoded_pictures(stream: Path) -> None:
+    compared = compare(stream, str(RIG), 2, lambda done, of: None)
+    assert compared.frames == (0, 2)
+    assert compared.held_out == ("cam04",)
+    with open_stream(stream) as opened:
+        *_, last = opened.frames()
+        ((_, pictures),) = read_frames(open_rig(str(RIG)), 4, 5)  # the stream begins with the rig's frame 2
+        for row, (name, picture) in enumerate(zip(compared.cameras, pictures, strict=True)):
+            shown = np.clip(render_view(opened.header, last.splats, name).image, 0, 1)
+            expected = -10 * np.log10(((shown - picture / np.float32(255)) ** 2).mean())
+            assert compared.psnr[row, 1] == pytest.approx(expected, abs=0.01)
+
+
+def test_pictures_beside_each_other_are_of_the_same_frame(stream: Path) -> None:
+    pairs = pairs_of(stream, str(RIG), [("cam00", 2), ("cam01", 0)])
+    assert set(pairs) == {("cam00", 2), ("cam01", 0)}
+    compared = compare(stream, str(RIG), 3, lambda done, of: None)
+    for (camera, frame), pair in pairs.items():
+        assert pair.psnr == compared.psnr[compared.cameras.index(camera), frame]
+
+
+def test_the_page_holds_all_that_it_shows(stream: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "report.html"
+    assert report_main([str(stream), "--rig", str(RIG), "-o", str(out), "--title", "Take <3>", "-q"]) == 0
+    page = out.read_text()
+    assert "<h1>Take &lt;3&gt;</h1>" in page
+    assert "cam04*" in page
+    assert not re.findall(r"(?:src|href)=['\"](?!data:)", page)
+    pictures = re.findall(r"data:image/jpeg;base64,([^']+)", page)
+    assert len(pictures) == 9
+    assert Image.open(io.BytesIO(base64.b64decode(pictures[0]))).size == (352, 264)
+    assert base64.b64decode(re.findall(r"data:video/mp4;base64,([^']+)", page)[0])[4:8] == b"ftyp"
+    again = tmp_path / "again.html"
+    assert report_main([str(stream), "--rig", str(RIG), "-o", str(again), "--title", "Take <3>", "-q"]) == 0
+    assert again.read_bytes() == out.read_bytes()
+
+
+def test_another_rig_is_refused(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = open_rig(str(RIG))
+    others = tuple(replace(camera, name=f"other {camera.name}") for camera in rig.cameras)
+    for other, said in (
+        (replace(rig, cameras=others), "no camera of this rig"),
+        (replace(rig, frame_count=2), "ends before"),
+    ):
+        monkeypatch.setattr("decogs.takes.compared.open_rig", lambda path, other=other: other)
+        with pytest.raises(UsageError, match=said):
+            compare(stream, str(RIG), 2, lambda done, of: None)
+
+
+def test_no_input_is_overwritten(stream: Path) -> None:
+    before = stream.read_bytes()
+    assert report_main([str(stream), "--rig", str(RIG), "-o", str(stream), "-q"]) == 2
+    assert stream.read_bytes() == before
