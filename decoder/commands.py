@@ -381,6 +381,8 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
     parts += [size_text(report.file_bytes), up]
     if report.metres != 1:
         parts.append(f"a unit is {report.metres:g} m")
+    if report.static_count is not None:
+        parts.append("Blender shows its colours with the add-on (docs/blender.md)")
     print_text(f"{printable(options.output)}: {', '.join(parts)}", to_stderr=options.output == "-")
 
 

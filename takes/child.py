@@ -6,31 +6,40 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 _PROGRAM = "from decogs.takes.child import main; main()"
 
 
-def run_command(line: Sequence[str], folder: Path, *, shown: bool) -> tuple[int, str]:
-    """Runs one of this package's commands in ``folder``; returns its exit code and the last line that it said.
+class Ran(NamedTuple):
+    """A command's exit ``code``, what it printed, and the last line of what it said on stderr where nobody saw that."""
 
-    ``shown``: what it says goes to the terminal instead.
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-c", _PROGRAM, *line],
-        cwd=folder,
-        stdin=subprocess.PIPE,  # never written to: its end is ours
-        stdout=None if shown else subprocess.DEVNULL,
-        stderr=None if shown else subprocess.PIPE,
-        text=True,
-        errors="replace",
-    )
-    with process:
-        said = "" if process.stderr is None else process.stderr.read().strip()
-        code = process.wait()
-    return code, said.splitlines()[-1] if said else ""
+    code: int
+    printed: str
+    said: str
+
+
+def run_command(line: Sequence[str], folder: Path, *, shown: bool) -> Ran:
+    """Runs one of this package's commands in ``folder``. ``shown``: what it says on stderr goes to ours."""
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as printed:
+        process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, *line],
+            cwd=folder,
+            stdin=subprocess.PIPE,  # never written to: its end is ours
+            stdout=printed,
+            stderr=None if shown else subprocess.PIPE,
+            text=True,
+            errors="replace",
+        )
+        with process:
+            said = "" if process.stderr is None else process.stderr.read().strip()
+            code = process.wait()
+        printed.seek(0)
+        return Ran(code, printed.read(), said.splitlines()[-1] if said else "")
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import files_of, open_rig
 
 from .child import run_command
-from .records import STAGING, Made, Records, foreign_file
+from .records import Made, Records, foreign_file
 from .steps import Step
 from .take_file import Take
 
@@ -84,8 +84,6 @@ class Making:
                 for future in done:
                     step = running.pop(future)
                     outcomes[step.name] = future.result()
-        if not any(outcome.is_bad for outcome in outcomes.values()):
-            shutil.rmtree(self._output / STAGING, ignore_errors=True)
         return [outcomes[step.name] for step in self._take.steps]
 
     def _can_begin(self, step: Step, left: Sequence[Step], running: Iterable[Step]) -> bool:
@@ -125,17 +123,18 @@ class Making:
         return self._done(step, fingerprint, why, shown=shown)
 
     def _done(self, step: Step, fingerprint: str, why: str, *, shown: bool) -> Outcome:
-        staging = self._output / STAGING / step.name
-        resumes = self._begin(step, staging, fingerprint)
+        resumes = self._begin(step, fingerprint)
         self._tell(f"{step.name}: {why}\n  $ {step.text}")
         began = time.monotonic()
-        code, said = run_command([*step.line(self._staged(step)), *resumes], self._take.folder, shown=shown)
+        code, printed, said = run_command([*step.line(step.staged), *resumes], self._take.folder, shown=shown)
         seconds = time.monotonic() - began
+        for line in printed.replace(step.staged_place, step.place).splitlines():
+            self._tell(f"  {line}")
         if code:
             return self._failed(step, said or f"{step.command} ended with code {code}", seconds)
         with self._lock:
             made = self._records.made.get(step.name)
-            place = self._take.folder / self._staged_place(step)
+            place = self._take.folder / step.staged_place
             self._records.made[step.name] = Made(
                 fingerprint, self._records.digests(place), {} if made is None else made.files, seconds
             )
@@ -144,13 +143,14 @@ class Making:
             self._finish_move(step)
         return Outcome(step, MADE, why, seconds, self._size(step))
 
-    def _begin(self, step: Step, staging: Path, fingerprint: str) -> list[str]:
+    def _begin(self, step: Step, fingerprint: str) -> list[str]:
         """Makes room for a step; what it left of the same work stays, and is gone on with where the command can."""
         with self._lock:
+            staging = self._take.folder / step.staging
             goes_on = self._records.begun.get(step.name) == fingerprint and step.command == "decogs-encode"
             if not goes_on:
                 shutil.rmtree(staging, ignore_errors=True)
-            (self._take.folder / self._staged_place(step)).parent.mkdir(parents=True, exist_ok=True)
+            (self._take.folder / step.staged_place).parent.mkdir(parents=True, exist_ok=True)
             self._records.begun[step.name] = fingerprint
             self._records.save()
         return ["--resume"] if goes_on and any(staging.rglob("*.part")) else []
@@ -158,7 +158,7 @@ class Making:
     def _finish_move(self, step: Step) -> None:
         """Puts what a step has made in its place, where that is not done."""
         made = self._records.made.get(step.name)
-        staged, place = (self._take.folder / each for each in (self._staged_place(step), step.place))
+        staging, staged, place = (self._take.folder / each for each in (step.staging, step.staged_place, step.place))
         if made is None or not staged.exists() or self._records.digests(staged) != made.files:
             return
         foreign = foreign_file(self._records.digests(place), made)
@@ -168,14 +168,9 @@ class Making:
             shutil.rmtree(place)
         place.parent.mkdir(parents=True, exist_ok=True)
         os.replace(staged, place)
+        shutil.rmtree(staging, ignore_errors=True)
         made.replaced = {}
         self._records.save()
-
-    def _staged(self, step: Step) -> str:
-        return f"{self._take.output}/{STAGING}/{step.name}/{step.output.removeprefix(f'{self._take.output}/')}"
-
-    def _staged_place(self, step: Step) -> str:
-        return f"{self._take.output}/{STAGING}/{step.name}/{step.place.removeprefix(f'{self._take.output}/')}"
 
     def _failed(self, step: Step, why: str, seconds: float = 0.0) -> Outcome:
         self._tell(f"{step.name}: {why}")

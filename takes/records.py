@@ -21,8 +21,6 @@ from decogs.formats.files.outputs import write_whole
 from .steps import Step
 
 FILE = ".decogs-make.json"
-STAGING = ".decogs-making"
-"""Folder in which steps work; nothing in it is ever looked at by people."""
 _PIECE = 1 << 20
 
 
@@ -105,7 +103,7 @@ def _files(place: Path) -> Iterator[Path]:
     if place.is_file():
         yield place
     for folder, folders, names in os.walk(place):
-        folders[:] = sorted(name for name in folders if name != STAGING)
+        folders.sort()
         yield from (Path(folder) / name for name in sorted(names) if (Path(folder) / name).is_file())
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+STAGING = ".decogs-making-"
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,21 @@ class Step:
     def place(self) -> str:
         """The file or the folder that holds all that the step makes and nothing else."""
         return self.output.rpartition("/")[0] if self.is_folder else self.output
+
+    @property
+    def staging(self) -> str:
+        """The folder in which it works: beside its place, since a rig names files by where they lie from it."""
+        return str(PurePosixPath(self.place).with_name(f"{STAGING}{self.name}"))
+
+    @property
+    def staged_place(self) -> str:
+        """What it makes in there, to be moved to its place."""
+        return self.staging if self.is_folder else f"{self.staging}/{PurePosixPath(self.place).name}"
+
+    @property
+    def staged(self) -> str:
+        """What its command is told to make."""
+        return f"{self.staged_place}{self.output.removeprefix(self.place)}"
 
     @property
     def is_folder(self) -> bool:
