@@ -17,6 +17,7 @@ from decogs.formats.cli.command_line import (
     size_text,
 )
 from decogs.formats.errors import DecogsError, UsageError
+from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
 
 
 def make_main(arguments: Sequence[str] | None = None) -> int:
@@ -59,7 +60,7 @@ def _make(options: argparse.Namespace) -> int:
     rows: list[tuple[str, ...]] = []
     for take in takes:
         try:
-            making = Making(take, lambda line: print_text(line, to_stderr=True))
+            making = Making(take, _quiet if options.quiet else _told, quiet=options.quiet)
             outcomes = making.plan() if options.dry_run else making.make(options.jobs)
         except DecogsError as error:
             print_text(f"{printable(str(take.path))}: {error}", to_stderr=True)
@@ -72,6 +73,14 @@ def _make(options: argparse.Namespace) -> int:
                 rows.append(("", "", f"$ {outcome.step.text}"))
     print_text("\n".join(_table(rows)))
     return USER_ERROR if failed else 0
+
+
+def _told(line: str) -> None:
+    print_text(line, to_stderr=True)
+
+
+def _quiet(line: str) -> None:
+    """Nobody asked."""
 
 
 def _new(paths: Sequence[Path], rig_dir: Path, *, quiet: bool) -> int:
@@ -116,8 +125,10 @@ def report_parser() -> Parser:
     )
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("-o", "--output", required=True, metavar="REPORT.HTML", help="the page to write")
-    parser.add_argument("--rig", required=True, metavar="RIG_DIR", help="the rig it was encoded from")
+    parser.add_argument("--rig", dest="rig_dir", required=True, metavar="RIG_DIR", help="the rig it was encoded from")
+    add_sync_option(parser)
     parser.add_argument("--title", metavar="TEXT", help="of the page (default: the stream's, or its file's name)")
+    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_quiet()
     return parser
 
@@ -132,7 +143,8 @@ def _report(options: argparse.Namespace) -> None:
     check_outputs([Output("output", output)], files_read(stream=stream))
     with open_stream(stream) as opened:
         title = options.title or opened.header.presentation.title or stream.stem
+    rig = rig_in_step(options)
     with progress("comparing", quiet=options.quiet) as on_frame:
-        page = report(stream, options.rig, title, on_frame)
+        page = report(stream, rig, title, on_frame)
     write_whole(output, page.encode())
     print_text(f"{printable(str(output))}: {size_text(len(page))}")

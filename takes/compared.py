@@ -16,7 +16,7 @@ from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
 from decogs.formats.colours.srgb import srgb_from_linear
 from decogs.formats.errors import UsageError
-from decogs.formats.rigs import Rig, open_rig, read_frames
+from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.system.callbacks import OnProgress
 
 F64 = NDArray[np.float64]
@@ -67,12 +67,11 @@ class Compared:
         return sorted(row for row in rows if np.isfinite(row[0]))
 
 
-def compare(stream: Path, rig_dir: str, most_frames: int, on_frame: OnProgress) -> Compared:
+def compare(stream: Path, rig: Rig, most_frames: int, on_frame: OnProgress) -> Compared:
     """Each camera's pictures of up to ``most_frames`` frames, spread over the take, against the decoded ones.
 
     Raises UsageError where stream and rig have no camera or frame in common, StreamError and RigError.
     """
-    rig = open_rig(rig_dir)
     with open_stream(stream, max_memory=DEFAULT_MAX_MEMORY) as opened:
         header = opened.header
         names = _common(header, rig)
@@ -85,9 +84,8 @@ def compare(stream: Path, rig_dir: str, most_frames: int, on_frame: OnProgress) 
     return Compared(tuple(names), tuple(frames), np.array(columns).T, held_out, header.subject)
 
 
-def pairs_of(stream: Path, rig_dir: str, wanted: Sequence[tuple[str, int]]) -> dict[tuple[str, int], Pair]:
+def pairs_of(stream: Path, rig: Rig, wanted: Sequence[tuple[str, int]]) -> dict[tuple[str, int], Pair]:
     """Pictures of these cameras and frames beside each other. Raises as `compare`."""
-    rig = open_rig(rig_dir)
     frames = sorted({frame for _, frame in wanted})
     names = sorted({camera for camera, _ in wanted})
     with open_stream(stream, max_memory=DEFAULT_MAX_MEMORY) as opened:

@@ -49,10 +49,10 @@ class Outcome:
 
 
 class Making:
-    """The making of one take. ``tell(line)`` is called with what happens."""
+    """The making of one take. ``tell(line)`` is called with what happens; ``quiet``: commands show no progress."""
 
-    def __init__(self, take: Take, tell: Callable[[str], None]) -> None:
-        self._take, self._tell = take, tell
+    def __init__(self, take: Take, tell: Callable[[str], None], *, quiet: bool = False) -> None:
+        self._take, self._tell, self._quiet = take, tell, ["-q"] if quiet else []
         self._output = take.folder / take.output
         self._records = Records(self._output)
         self._lock = threading.Lock()
@@ -126,7 +126,9 @@ class Making:
         resumes = self._begin(step, fingerprint)
         self._tell(f"{step.name}: {why}\n  $ {step.text}")
         began = time.monotonic()
-        code, printed, said = run_command([*step.line(step.staged), *resumes], self._take.folder, shown=shown)
+        code, printed, said = run_command(
+            [*step.line(step.staged), *resumes, *self._quiet], self._take.folder, shown=shown
+        )
         seconds = time.monotonic() - began
         for line in printed.replace(step.staged_place, step.place).splitlines():
             self._tell(f"  {line}")

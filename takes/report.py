@@ -18,6 +18,7 @@ from decogs.decoder.reading.info import StreamInfo, info
 from decogs.decoder.reading.info_text import summary_lines
 from decogs.decoder.reading.stream import open_stream
 from decogs.formats.cli.command_line import size_text
+from decogs.formats.rigs import Rig
 from decogs.formats.system.callbacks import OnProgress
 from decogs.rig.check.plan import document
 
@@ -41,16 +42,16 @@ table.errors td { text-align: right; min-width: 3em; color: #111 }
 </style>"""
 
 
-def report(stream: Path, rig_dir: str, title: str, on_frame: OnProgress) -> str:
+def report(stream: Path, rig: Rig, title: str, on_frame: OnProgress) -> str:
     """The page, HTML. Raises StreamError, RigError, and UsageError where stream and rig have nothing in common."""
     facts = info(stream)
-    compared = compare(stream, rig_dir, FRAMES, on_frame)
+    compared = compare(stream, rig, FRAMES, on_frame)
     ranked = compared.ranked()
     worst = ranked[: max(1, round(_WORST_SHARE * len(ranked)))]
     shown = list(
         dict.fromkeys((camera, frame) for _, camera, frame in [worst[0], ranked[len(ranked) // 2], ranked[-1]])
     )
-    pairs = pairs_of(stream, rig_dir, shown)
+    pairs = pairs_of(stream, rig, shown)
     parts = [
         _STYLE,
         f"<p>{escape(_in_short(facts, compared))}</p>",

@@ -59,7 +59,7 @@ class _Maker:
     def __init__(self, path: Path, output: PurePosixPath) -> None:
         self._path, self._output = path, output
         self.steps: list[Step] = []
-        self._rig = ""
+        self._rig: dict[str, Any] = {}
 
     def stream(self, values: Mapping[str, Any]) -> str:
         """The steps up to the edited stream; returns its path."""
@@ -68,12 +68,10 @@ class _Maker:
             rig = self._add("calibrate", "decogs-calibrate", [rig], values["calibrate"], "rig/")
         if "sync" in values:
             rig = self._add("sync", "decogs-sync", [rig], values["sync"], "rig_in_step/")
-        self._rig = rig
-        edits = values.get("edit", {})
+        edits, encode = values.get("edit", {}), values.get("encode", {})
+        self._rig = {"rig": rig} | ({"sync": encode["sync"]} if "sync" in encode else {})
         words = self._operations(edits, values.get("title"))
-        stream = self._add(
-            "encode", "decogs-encode", [rig], values.get("encode", {}), "encoded.dgs" if words else STREAM
-        )
+        stream = self._add("encode", "decogs-encode", [rig], encode, "encoded.dgs" if words else STREAM)
         return self._add("edit", "decogs-edit", [stream], {}, STREAM, behind=words) if words else stream
 
     def deliver(self, name: str, table: Any, stream: str) -> None:
@@ -94,7 +92,7 @@ class _Maker:
         file = f"{_relative(text, f'{where}: file')}{'/' * text.endswith('/')}"
         if "####" in file and "/" not in file:
             raise UsageError(f"{where}: file {file!r} is many files: put them into a folder, such as {name}/{file}")
-        chosen |= {"rig": self._rig} if kind.reads_rig else {}
+        chosen |= self._rig if kind.reads_rig else {}
         self._add(name, kind.command, [stream], chosen, file)
 
     def _operations(self, table: Mapping[str, Any], title: str | None) -> list[str]:
