@@ -72,7 +72,7 @@ class Making:
         """Does what is due, ``jobs`` steps at a time. A step that fails leaves out those that read from it, alone."""
         outcomes: dict[str, Outcome] = {}
         left = list(self._take.steps)
-        with ThreadPoolExecutor(jobs) as pool:
+        with self._records.locked(), ThreadPoolExecutor(jobs) as pool:
             running: dict[Future[Outcome], Step] = {}
             while left or running:
                 for step in [each for each in left if self._can_begin(each, left, running.values())]:

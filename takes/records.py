@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,13 @@ from typing import Any
 from decogs import __version__
 from decogs.formats.errors import UsageError
 from decogs.formats.files.outputs import write_whole
+from decogs.formats.system.operating_systems import take_lock
 
 from .steps import Step
 
 FILE = ".decogs-make.json"
 _PIECE = 1 << 20
+_VERSION = 1
 
 
 @dataclass
@@ -41,15 +44,29 @@ class Records:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / FILE
-        document = self._read()
-        self._digests: dict[str, list[Any]] = document.get("digests", {})
-        self.made = {name: Made(**entry) for name, entry in document.get("made", {}).items()}
-        self.begun: dict[str, str] = document.get("begun", {})
+        self._digests: dict[str, list[Any]] = {}
+        self.made: dict[str, Made] = {}
+        self.begun: dict[str, str] = {}
+        self._load()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Nobody else makes this take meanwhile. Raises UsageError where somebody does."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.with_suffix(".lock").open("ab") as file:
+            try:
+                take_lock(file.fileno())
+            except BlockingIOError:
+                raise UsageError(f"{self._path.parent}: is being made by another decogs-make; wait for it") from None
+            except OSError:
+                pass  # Some network file systems have no locks.
+            self._load()
+            yield
 
     def save(self) -> None:
         """Writes it, whole or not at all."""
         made = {name: asdict(entry) for name, entry in self.made.items()}
-        document = {"version": 1, "made": made, "begun": self.begun, "digests": self._digests}
+        document = {"version": _VERSION, "made": made, "begun": self.begun, "digests": self._digests}
         self._path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(self._path, json.dumps(document, indent=1, sort_keys=True).encode())
 
@@ -75,18 +92,26 @@ class Records:
         self._digests[str(file)] = [*stamp, digest]
         return digest
 
-    def _read(self) -> dict[str, Any]:
+    def _read(self) -> Any:
         try:
-            document = json.loads(self._path.read_bytes())
+            return json.loads(self._path.read_bytes())
         except FileNotFoundError:
-            return {}
-        except ValueError:
-            document = None
-        if not isinstance(document, dict) or document.get("version") != 1:
+            return {"version": _VERSION, "made": {}, "begun": {}, "digests": {}}
+
+    def _load(self) -> None:
+        try:
+            self._take_over(self._read())
+        except (AttributeError, KeyError, TypeError, ValueError):
             raise UsageError(
                 f"{self._path}: is no record of what was made; move the folder away, or name another output"
-            )
-        return document
+            ) from None
+
+    def _take_over(self, document: Any) -> None:
+        """Raises one of several errors for what is no record."""
+        if document["version"] != _VERSION:
+            raise ValueError
+        self.made = {str(name): Made(**entry) for name, entry in document["made"].items()}
+        self.begun, self._digests = dict(document["begun"]), dict(document["digests"])
 
 
 def file_digest(path: Path) -> str:

@@ -17,7 +17,7 @@ from decogs.encoder.commands import _options as options_of
 from decogs.encoder.commands import encode_main, encode_parser
 from decogs.formats.errors import DecogsError
 from decogs.takes.commands import make_main
-from decogs.takes.records import FILE
+from decogs.takes.records import FILE, Records
 from decogs.takes.steps import STAGING
 from decogs.takes.take_file import read_take
 
@@ -93,7 +93,7 @@ def making(capfd: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, dict[s
 def files(take: Path) -> dict[str, bytes]:
     folder = take.parent / "take"
     found = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
-    return {name: path.read_bytes() for name, path in found.items() if name != FILE}
+    return {name: path.read_bytes() for name, path in found.items() if not name.startswith(".decogs-make.")}
 
 
 def test_all_is_made_and_nothing_twice(undisturbed: Path, made: Path, making) -> None:
@@ -165,8 +165,16 @@ def test_without_a_record_nothing_counts_as_made(made: Path, making) -> None:
     assert code == 2
     assert {states[name] for name in STEPS} == {"failed", "left out"}
     assert files(made) == before
-    (made.parent / "take" / FILE).write_text("{}")
-    assert make_main([str(made)]) == 2
+    for text in ("{}", "[]", "x", '{"version": 1, "made": {"encode": {"bad": 1}}, "begun": {}, "digests": {}}'):
+        (made.parent / "take" / FILE).write_text(text)
+        assert making(made) == (2, {})
+
+
+def test_two_do_not_make_one_take(made: Path, making) -> None:
+    with Records(made.parent / "take").locked():
+        assert making(made) == (2, {})
+        assert making(made, "--dry-run")[0] == 0
+    assert making(made)[0] == 0
 
 
 def test_what_fails_leaves_the_others(made: Path, making) -> None:
