@@ -49,10 +49,10 @@ _NOT_CONFIGURED = ("output", "quiet", "help", "version", "config", "live")
 def encode_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-encode``: a rig folder to a .dgs stream."""
     parser = encode_parser()
-    return run(parser, lambda: _encode_or_part(parser, _options(parser, arguments)), extra="encode")
+    return run(parser, lambda: _encode_or_part(parser, encode_options(parser, arguments)), extra="encode")
 
 
-def _options(parser: Parser, arguments: Sequence[str] | None) -> argparse.Namespace:
+def encode_options(parser: Parser, arguments: Sequence[str] | None) -> argparse.Namespace:
     """What is given, on top of what the take file that is named says of an encode."""
     options: argparse.Namespace = parser.parse_args(arguments)
     if options.config is None:
@@ -75,7 +75,7 @@ def encode_parser() -> Parser:
         prog="decogs-encode",
         description="Encode a rig of synchronised, calibrated cameras as a stream of 3D Gaussians.",
         epilog="Layouts: N3DV, MeetRoom, COLMAP, nerfstudio transforms.json, rig.json, more in docs/rig.md. "
-        "Ctrl-C ends the stream early but whole.",
+        "Ctrl-C ends the stream early but whole. decogs-bench curve shows what accuracy costs in time, for your rig.",
     )
     parser.add_argument("rig_dir", nargs="?", help="the rig's folder, or one calibration file or folder inside it")
     parser.add_argument(
@@ -330,7 +330,7 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
     from .cluster.encoding import encode_on_cluster
 
     _check_cluster(options)
-    job, option_names = _job(options)
+    job, option_names = encode_job(options)
     with in_option_names(option_names), progress("encoding", quiet=options.quiet) as on_progress:
         report = encode_on_cluster(job, options.cluster, progress=on_progress, on_warning=warn_as(parser))
     parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
@@ -348,7 +348,7 @@ def _check_cluster(options: argparse.Namespace) -> None:
             raise UsageError(f"`cluster`: it does not go with `{name}` {value}; drop one of the two")
 
 
-def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
+def encode_job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
     """The job that the options ask for, and the options' names for what errors may name."""
     from .job.job import EncodeJob
     from .job.option_texts import names, seconds_per_frame
@@ -397,7 +397,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
     from .stream.summary import summary, warnings_of
 
-    job, option_names = _job(options)
+    job, option_names = encode_job(options)
     with in_option_names(option_names), _observed(parser, options) as progress:
         report = encode(job, progress=progress, on_warning=warn_as(parser))
     print_text("\n".join(summary(report)), to_stderr=options.output == "-")

@@ -29,7 +29,7 @@ from decogs.encoder.packing.commands import pack_parser
 from decogs.encoder.parts.commands import join_parser
 from decogs.rig.calibration.commands import calibrate_parser
 from decogs.rig.synchronisation.commands import sync_parser
-from decogs.takes.commands import make_parser, report_parser
+from decogs.takes.commands import make_parser, report_parser, verify_parser
 
 SHARE = Path(__file__).parent
 PARSERS = (
@@ -46,6 +46,7 @@ PARSERS = (
     pack_parser,
     report_parser,
     sync_parser,
+    verify_parser,
     view_parser,
 )
 FOLDERS = {"rig_dir", "rigs", "rig", "new"}

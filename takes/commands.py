@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from decogs.formats.cli.command_line import (
     USER_ERROR,
     Parser,
+    in_option_names,
     number_of_threads,
     print_text,
     printable,
     progress,
     run,
     size_text,
+    warn_as,
+    whole_number,
 )
 from decogs.formats.errors import DecogsError, UsageError
+from decogs.formats.frames.ranges import frames_text
 from decogs.rig.synchronisation.commands import add_sync_option, rig_in_step
 
 
@@ -148,3 +153,49 @@ def _report(options: argparse.Namespace) -> None:
         page = report(stream, rig, title, on_frame)
     write_whole(output, page.encode())
     print_text(f"{printable(str(output))}: {size_text(len(page))}")
+
+
+def verify_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-verify``: whether a stream is what its footage and settings give."""
+    parser = verify_parser()
+    return run(parser, lambda: _verify(parser, parser.parse_args(arguments)), extra="encode")
+
+
+def verify_parser() -> Parser:
+    """The options of ``decogs-verify``."""
+    parser = Parser(
+        prog="decogs-verify",
+        description="Encode some of a stream again, and compare it byte for byte: the closed segment of a frame, or "
+        "the first three frames. Exit code 1 where anything is another.",
+        epilog="The same on any x86-64 processor that decodes the videos alike, with the same packages; SPEC.md, "
+        '"Exactness", says what may differ elsewhere.',
+    )
+    parser.add_argument("--frame", type=whole_number, default=0, metavar="N", help="of a stream of closed segments")
+    parser.add_quiet()
+    parser.add_argument("stream", help="the .dgs file, as decogs-encode wrote it")
+    parser.add_argument(
+        "encode",
+        nargs=argparse.REMAINDER,
+        metavar="RIG_DIR OPTION ...",
+        help="rig and options as decogs-encode was given them, without -o; or --config TAKE.TOML",
+    )
+    return parser
+
+
+def _verify(parser: Parser, options: argparse.Namespace) -> int:
+    from decogs.encoder.commands import encode_job, encode_options, encode_parser
+    from decogs.encoder.output.progress import TerminalProgress
+
+    from .verifying import verify
+
+    asked = encode_options(encode_parser(), [*options.encode, "-o", f"{options.stream}.again"])
+    job, option_names = encode_job(asked)
+    with in_option_names(option_names), TerminalProgress(None if options.quiet else sys.stderr) as observer:
+        verdict = verify(Path(options.stream), job, options.frame, observer, warn_as(parser))
+    frames = frames_text(verdict.frames)
+    if not verdict.differences:
+        print_text(f"{printable(options.stream)}: {frames} are the same bytes, encoded again")
+        return 0
+    for difference in verdict.differences:
+        print_text(f"{printable(options.stream)}: {difference}")
+    return 1

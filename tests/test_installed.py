@@ -144,7 +144,7 @@ COMMANDS = sorted(entry.name for entry in INSTALLED.entry_points if entry.group 
 
 def test_there_are_these_commands() -> None:
     names = ("analyze", "bench", "calibrate", "decode", "edit", "encode", "export", "info", "join")
-    names += ("make", "pack", "report", "sync", "view")
+    names += ("make", "pack", "report", "sync", "verify", "view")
     assert [f"decogs-{name}" for name in names] == COMMANDS
 
 

@@ -30,7 +30,7 @@ def test_they_are_current(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = build.shell_files()
     there = {str(path.relative_to(SHARE)): path for path in SHARE.rglob("*") if "decogs-" in path.name}
     assert sorted(there) == sorted(expected)
-    assert len(expected) == 42
+    assert len(expected) == 45
     for name, path in there.items():
         assert path.read_text("utf-8") == expected[name], f"{name}: python share/build.py writes it anew"
 

@@ -35,7 +35,7 @@ from decogs.formats.rigs import open_rig
 from decogs.formats.stream.container import SIGNATURE
 from decogs.rig.calibration.commands import calibrate_main
 from decogs.rig.synchronisation.commands import sync_main
-from decogs.takes.commands import make_main, report_main
+from decogs.takes.commands import make_main, report_main, verify_main
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -61,6 +61,7 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-pack": pack_main,
     "decogs-report": report_main,
     "decogs-sync": sync_main,
+    "decogs-verify": verify_main,
     "decogs-view": view_main,
 }
 LONGEST_README = 110

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from decogs.encoder.commands import _options as options_of
-from decogs.encoder.commands import encode_main, encode_parser
+from decogs.encoder.commands import encode_main, encode_options, encode_parser
 from decogs.formats.errors import DecogsError
 from decogs.takes.commands import make_main
 from decogs.takes.records import FILE, Records
@@ -305,10 +304,10 @@ def test_an_encode_reads_its_part(tmp_path: Path, capsys: pytest.CaptureFixture[
     take.write_text('rig = "rig"\n[encode]\npreset = "high"\nholdout = ["cam00"]\nscale = 0.5\n[deliver.page]')
     parser = encode_parser()
     given = ["--config", str(take), "-o", "x.dgs", "--scale", "0.25", "--holdout", "cam01"]
-    options = options_of(parser, given)
+    options = encode_options(parser, given)
     assert (options.settings, options.scale, options.holdout) == ("high", 0.25, ["cam00", "cam01"])
     assert options.rig_dir == str(tmp_path / "rig")
-    assert options_of(parser, [*given, "another"]).rig_dir == "another"
+    assert encode_options(parser, [*given, "another"]).rig_dir == "another"
     take.write_text('rig = "rig"\n[encode]\noutput = "y.dgs"')
     assert encode_main(["--config", str(take), "-o", "x.dgs"]) == 2
     assert "'output' is no option of decogs-encode here" in capsys.readouterr().err

@@ -1,0 +1,157 @@
+"""Whether a stream is what its footage and settings give: some of it is encoded again, and compared byte for byte."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from decogs.codec.header.header import StreamHeader
+from decogs.encoder.encoding import encode
+from decogs.encoder.job.job import EncodeJob
+from decogs.encoder.output.observer import EncodeObserver
+from decogs.encoder.output.reports import FrameReport
+from decogs.encoder.output.resume import difference_of
+from decogs.formats.errors import UsageError
+from decogs.formats.files.regular_files import open_regular
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind, PacketReader
+from decogs.formats.system.callbacks import OnWarning
+
+_RECORDED = "recorded"
+"""The setting that has a digest of each training camera's first picture."""
+FIRST_FRAMES = 3
+"""Of a stream whose segments depend on each other."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``frames`` of the stream that were encoded again; ``differences``: what is another, a line each."""
+
+    frames: range
+    differences: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Contents:
+    """What a stream says: its header as plain values, and of each frame kind and payload of its packet."""
+
+    header: Mapping[str, Any]
+    frames: Mapping[int, tuple[int, bytes]]
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        settings: Mapping[str, Any] = self.header["settings"]
+        return settings
+
+
+def verify(stream: Path, job: EncodeJob, frame: int, observer: EncodeObserver, on_warning: OnWarning) -> Verdict:
+    """Encodes again, as ``job`` asks, the closed segment that ``frame`` is in, or the first frames.
+
+    ``job``: as the stream was encoded; its output counts for nothing. Raises UsageError for a stream that was edited
+    since, and what `encode` raises.
+    """
+    kept = _read(stream)
+    if _RECORDED not in kept.settings:
+        raise UsageError(f"{stream}: was edited since it was encoded; verify the stream that was edited")
+    with tempfile.TemporaryDirectory() as folder:
+        if job.closed:
+            made, frames = _segment_again(kept, job, frame, Path(folder), observer, on_warning)
+        else:
+            made, frames = _beginning_again(kept, job, Path(folder), observer, on_warning)
+    return Verdict(frames, tuple(_differences(kept, made, frames)))
+
+
+def _beginning_again(
+    kept: _Contents, job: EncodeJob, folder: Path, observer: EncodeObserver, on_warning: OnWarning
+) -> tuple[_Contents, range]:
+    """An encode of all frames, ended after the first ones: what it finds out about the rig depends on all."""
+    output = folder / "again.dgs"
+    encode(replace(job, output=output), progress=_Ending(observer, FIRST_FRAMES), on_warning=on_warning)
+    return _read(output), range(min(FIRST_FRAMES, len(kept.frames)))
+
+
+def _segment_again(
+    kept: _Contents, job: EncodeJob, frame: int, folder: Path, observer: EncodeObserver, on_warning: OnWarning
+) -> tuple[_Contents, range]:
+    if frame not in kept.frames:
+        raise UsageError(f"`frame` {frame}: the stream has {len(kept.frames)} frames")
+    begin = max(at for at in kept.frames if at <= frame and kept.frames[at][0] == PacketKind.KEY)
+    end = min(
+        (at for at in kept.frames if at > frame and kept.frames[at][0] == PacketKind.KEY), default=len(kept.frames)
+    )
+    first = int(kept.header["first_frame"])
+    key, part = folder / "key.dgs", folder / "part.dgs"
+    encode(replace(job, output=key, only=range(first, first + 1)), progress=observer, on_warning=on_warning)
+    made = _read(key)
+    if begin or end > 1:
+        encode(
+            replace(job, output=part, only=range(first + begin, first + end), keyframe=key),
+            progress=observer,
+            on_warning=on_warning,
+        )
+        # A part begins with the keyframe that the others take, but for that part itself.
+        again = _read(part)
+        offset = begin - (1 if begin else 0)
+        others = {at + offset: packet for at, packet in again.frames.items() if at or not begin}
+        made = replace(again, frames={**made.frames, **others})
+    return made, range(begin, end)
+
+
+def _differences(kept: _Contents, made: _Contents, frames: range) -> Iterator[str]:
+    was, now = ([*each.settings.get(_RECORDED, {}).get("pictures", [])] for each in (kept, made))
+    names = [camera["name"] for camera in kept.header["cameras"] if camera["name"] not in kept.header["held_out"]]
+    if len(was) == len(now) == len(names):
+        for name, one, other in zip(names, was, now, strict=True):
+            if one != other:
+                yield f"camera {name} recorded another first picture"
+    settings = [
+        {key: value for key, value in each.settings.items() if key not in (_RECORDED, "part")} for each in (kept, made)
+    ]
+    if settings[0] != settings[1]:
+        yield f"the stream {difference_of(settings[0], settings[1])}"
+    for frame in frames:
+        if kept.frames.get(frame) != made.frames.get(frame):
+            yield f"frame {frame} is another: {_said(kept, frame)} in the stream, {_said(made, frame)} encoded again"
+            return  # what follows begins with it
+
+
+def _said(contents: _Contents, frame: int) -> str:
+    packet = contents.frames.get(frame)
+    return "nothing" if packet is None else f"{len(packet[1])} bytes"
+
+
+def _read(path: Path) -> _Contents:
+    """Raises StreamError."""
+    header: Mapping[str, Any] = {}
+    frames: dict[int, tuple[int, bytes]] = {}
+    with open_regular(path) as file:
+        reader = PacketReader(file)
+        while (packet := reader.next()) is not None:
+            if packet.kind == PacketKind.HEADER:
+                StreamHeader.from_bytes(packet.payload)
+                header = json.loads(packet.payload)
+            elif packet.kind in FRAME_KINDS:
+                frames[packet.frame] = packet.kind, bytes(packet.payload)
+    return _Contents(header, frames)
+
+
+class _Ending(EncodeObserver):
+    """Passes on what happens, and ends the encode after some frames, as Ctrl-C does."""
+
+    def __init__(self, observer: EncodeObserver, frames: int) -> None:
+        self._observer, self._left = observer, frames
+
+    def look_step(self, step: int, steps: int) -> None:
+        self._observer.look_step(step, steps)
+
+    def keyframe_step(self, step: int, steps: int, loss: float) -> None:
+        self._observer.keyframe_step(step, steps, loss)
+
+    def frame(self, report: FrameReport) -> None:
+        self._observer.frame(report)
+        self._left -= 1
+        if not self._left:
+            raise KeyboardInterrupt

@@ -1,0 +1,77 @@
+"""decogs-verify: some of a stream encoded again has the same bytes, or it is said what is another."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from decogs.decoder.editing import Set, edit
+from decogs.encoder.commands import encode_main
+from decogs.formats.stream.container import FRAME_KINDS, PacketKind, StreamWriter
+from decogs.takes.commands import verify_main
+from packets import iterate_packets
+
+RIG = Path(__file__).parents[1] / "demo" / "workbench"
+OPTIONS = ["--preset", "live", "--scale", "0.2", "--frames", "1:7", "--threads", "1", "-q"]
+CLOSED = [*OPTIONS, "--segment", "2", "--closed"]
+
+
+@pytest.fixture(scope="module", params=["open", pytest.param("closed", marks=pytest.mark.slow)])
+def encoded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    options = OPTIONS if request.param == "open" else CLOSED
+    path = tmp_path_factory.mktemp("verify") / "scene.dgs"
+    assert encode_main([str(RIG), "-o", str(path), *options]) == 0
+    return path, options
+
+
+def changed_in(stream: Path, output: Path, frame: int) -> Path:
+    """The stream with another packet of a frame; checksums are right."""
+    with stream.open("rb") as file:
+        head, *packets = list(iterate_packets(file))
+    with output.open("wb") as file:
+        writer = StreamWriter(file, head.payload)
+        for packet in packets:
+            if packet.kind in (PacketKind.INDEX, PacketKind.END):
+                continue
+            hit = packet.kind in FRAME_KINDS and packet.frame == frame
+            writer.write(packet.kind, packet.frame, packet.payload[:-1] + b"\xff" if hit else packet.payload)
+        writer.finish()
+    return output
+
+
+def test_a_stream_is_what_it_was_made_of(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every closed segment, and a packet that is another in any of them; of others the first frames."""
+    stream, options = encoded
+    for frame in (0, 2, 5) if options is CLOSED else (0,):
+        asked = ["--frame", str(frame), "-q"]
+        assert verify_main([*asked, str(stream), str(RIG), *options]) == 0
+        assert "are the same bytes, encoded again" in capsys.readouterr().out
+    hit = 5 if options is CLOSED else 2
+    other = changed_in(stream, tmp_path / "other.dgs", hit)
+    assert verify_main(["--frame", str(hit), "-q", str(other), str(RIG), *options]) == 1
+    assert f"frame {hit} is another: " in capsys.readouterr().out
+    if options is CLOSED:
+        assert verify_main(["--frame", "1", "-q", str(other), str(RIG), *options]) == 0
+        assert verify_main(["--frame", "6", "-q", str(other), str(RIG), *options]) == 2
+
+
+def test_what_is_another_is_said(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stream, options = encoded
+    if options is CLOSED:
+        pytest.skip("once is enough")
+    rig = shutil.copytree(RIG, tmp_path / "rig")
+    shutil.copy(RIG / "cam05.mp4", rig / "cam06.mp4")
+    assert verify_main(["-q", str(stream), str(rig), *options]) == 1
+    assert "camera cam06 recorded another first picture\n" in capsys.readouterr().out
+    assert verify_main(["-q", str(stream), str(RIG), *options, "--seed", "3"]) == 1
+    said = capsys.readouterr().out
+    assert "was begun with seed 0, this encode has 3" in said
+    assert "frame 0 is another" in said
+
+
+def test_an_edited_stream_is_not_verified(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    edit(encoded[0], tmp_path / "edited.dgs", [Set(title="x")])
+    assert verify_main(["-q", str(tmp_path / "edited.dgs"), str(RIG), *encoded[1]]) == 2
+    assert "was edited since it was encoded" in capsys.readouterr().err
