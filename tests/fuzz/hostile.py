@@ -53,7 +53,6 @@ from decogs.decoder.editing import (
     Trim,
     edit,
 )
-from decogs.decoder.editing.operations.profile import KeepProfile
 from decogs.decoder.reading.damage import Damage
 from decogs.decoder.reading.following import follow_stream
 from decogs.decoder.reading.frame import DecodedFrame
@@ -453,7 +452,7 @@ EDITS: tuple[tuple[Operation, ...], ...] = (
     (Transform(turns=(("X", 40.0),), scale=3.0), Merge(Path()), Set(title="x")),
     (Clean(size=0.5, seen=1), Grade(1.0, region=Box((-1.0, -1.0, -1.0), (0.1, 1.0, 1.0))), Strip(("rig", "sound"))),
     (Cameras(rename=(("a", "b"),)), Retime(holds=((3, 4),))),
-    (KeepProfile("desktop"), Strip(("layers",))),
+    (Strip(("layers",)), Trim(slice(1, None))),
 )
 """What is done to hostile streams; other streams are the stream itself."""
 
