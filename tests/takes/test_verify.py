@@ -57,10 +57,9 @@ def test_a_stream_is_what_it_was_made_of(encoded, tmp_path: Path, capsys: pytest
         assert verify_main(["--frame", "6", "-q", str(other), str(RIG), *options]) == 2
 
 
+@pytest.mark.parametrize("encoded", ["open"], indirect=True)
 def test_what_is_another_is_said(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stream, options = encoded
-    if options is CLOSED:
-        pytest.skip("once is enough")
     rig = shutil.copytree(RIG, tmp_path / "rig")
     shutil.copy(RIG / "cam05.mp4", rig / "cam06.mp4")
     assert verify_main(["-q", str(stream), str(rig), *options]) == 1
