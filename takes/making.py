@@ -6,7 +6,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +62,7 @@ class Making:
         due: set[str] = set()
         outcomes = []
         for step in self._take.steps:
-            why = self._why_due(step, due)
+            why = self._why_due(step, self._fingerprint(step), due)
             if why:
                 due.add(step.place)
             outcomes.append(Outcome(step, DUE if why else CURRENT, why, size=0 if why else self._size(step)))
@@ -89,18 +89,17 @@ class Making:
     def _can_begin(self, step: Step, left: Sequence[Step], running: Iterable[Step]) -> bool:
         return not any(_reads(step, other) for other in (*left, *running) if other is not step)
 
-    def _why_due(self, step: Step, due: set[str]) -> str:
-        """Why a step has to be done; empty if it has not."""
+    def _why_due(self, step: Step, fingerprint: str, due: Collection[str] = ()) -> str:
+        """Why a step has to be done; empty if it has not. ``due``: places of what will be made before."""
         if any(name in due for name in step.inputs):
             return "what it reads will be another"
         made = self._records.made.get(step.name)
         if made is None:
             return "was never made"
-        if self._fingerprint(step) != made.fingerprint:
+        if fingerprint != made.fingerprint:
             return "what it reads, its options or the version is another"
-        return (
-            "" if self._records.digests(self._take.folder / step.place) == made.files else "what it made is not there"
-        )
+        there = self._records.digests(self._take.folder / step.place)
+        return "" if there == made.files else "what it made is not there"
 
     def _fingerprint(self, step: Step) -> str:
         return self._records.fingerprint(step, self._take.folder, _read_by(step, self._take.folder))
@@ -111,10 +110,10 @@ class Making:
             return Outcome(step, LEFT_OUT, f"needs {failed.step.name}")
         with self._lock:
             self._finish_move(step)
-            why = self._why_due(step, set())
+            fingerprint = self._fingerprint(step)
+            why = self._why_due(step, fingerprint)
             if not why:
                 return Outcome(step, CURRENT, size=self._size(step))
-            fingerprint = self._fingerprint(step)
             place = self._take.folder / step.place
             foreign = foreign_file(self._records.digests(place), self._records.made.get(step.name))
         if foreign is not None:
@@ -137,9 +136,8 @@ class Making:
         with self._lock:
             made = self._records.made.get(step.name)
             place = self._take.folder / step.staged_place
-            self._records.made[step.name] = Made(
-                fingerprint, self._records.digests(place), {} if made is None else made.files, seconds
-            )
+            replaced = {} if made is None else made.files
+            self._records.made[step.name] = Made(fingerprint, self._records.digests(place), replaced)
             del self._records.begun[step.name]
             self._records.save()
             self._finish_move(step)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_rig
 from decogs.formats.system.callbacks import OnProgress
 from decogs.formats.videos.reading import VIDEO_SUFFIXES
-
-if TYPE_CHECKING:
-    from decogs.encoder.analysis.analyse import Analysis
 
 _HARMFUL = "harmful"
 _OUT_OF_STEP = 0.25
@@ -36,16 +34,13 @@ def new_take(rig_dir: Path, folder: Path, on_step: OnProgress) -> str:
     from decogs.encoder.analysis.analyse import analyse
 
     analysis = analyse(open_rig(str(rig_dir)), on_step=on_step, shown=True)
-    return _OF_RIG.format(rig=there, found=_found(analysis), encode=_encode(analysis), camera=_text(_first(analysis)))
-
-
-def _found(analysis: Analysis) -> str:
-    """The analysis as a comment."""
-    return "\n".join(f"# {line}".rstrip() for line in analysis.table())
-
-
-def _encode(analysis: Analysis) -> str:
     document = analysis.to_json()
+    found = "\n".join(f"# {line}".rstrip() for line in analysis.table())
+    return _OF_RIG.format(rig=there, found=found, encode=_encode(document), camera=_text(document["cameras"][0]))
+
+
+def _encode(document: Mapping[str, Any]) -> str:
+    """What the analysis says of an encode."""
     harmful = [name for name, check in document["checks"].items() if check["verdict"] == _HARMFUL]
     late = any(abs(check["late"] or 0) > _OUT_OF_STEP for check in document["checks"].values())
     lines = ['preset = "standard"']
@@ -54,10 +49,6 @@ def _encode(analysis: Analysis) -> str:
     if document["stage"] is not None:
         lines.append('# masks = "MATTES"   # the performer alone: mattes, or key = "green" for a clean screen')
     return "\n".join(lines)
-
-
-def _first(analysis: Analysis) -> str:
-    return str(analysis.to_json()["cameras"][0])
 
 
 def _text(value: str) -> str:

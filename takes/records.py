@@ -20,7 +20,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.files.outputs import write_whole
 from decogs.formats.system.operating_systems import take_lock
 
-from .steps import Step
+from .steps import STAGING, Step
 
 FILE = ".decogs-make.json"
 _PIECE = 1 << 20
@@ -30,12 +30,11 @@ _VERSION = 1
 @dataclass
 class Made:
     """Of one step: the ``fingerprint`` of what it depends on, the ``files`` that it made, by their path in its place,
-    with their digests, and those that lay there before, until they are replaced; CPU is not known, ``seconds`` are."""
+    with their digests, and those that lay there before, until they are replaced."""
 
     fingerprint: str
     files: dict[str, str]
     replaced: dict[str, str] = field(default_factory=dict)
-    seconds: float = 0.0
 
 
 class Records:
@@ -66,7 +65,9 @@ class Records:
     def save(self) -> None:
         """Writes it, whole or not at all."""
         made = {name: asdict(entry) for name, entry in self.made.items()}
-        document = {"version": _VERSION, "made": made, "begun": self.begun, "digests": self._digests}
+        # What was worked on lies elsewhere by now.
+        digests = {file: known for file, known in self._digests.items() if STAGING not in file}
+        document = {"version": _VERSION, "made": made, "begun": self.begun, "digests": digests}
         self._path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(self._path, json.dumps(document, indent=1, sort_keys=True).encode())
 

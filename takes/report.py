@@ -12,11 +12,9 @@ import cv2
 import numpy as np
 
 from decogs import __version__
-from decogs.codec.scene.digest import digest
 from decogs.decoder import decode
 from decogs.decoder.reading.info import StreamInfo, info
 from decogs.decoder.reading.info_text import summary_lines
-from decogs.decoder.reading.stream import open_stream
 from decogs.formats.cli.command_line import size_text
 from decogs.formats.rigs import Rig
 from decogs.formats.system.callbacks import OnProgress
@@ -55,7 +53,7 @@ def report(stream: Path, rig: Rig, title: str, on_frame: OnProgress) -> str:
     parts = [
         _STYLE,
         f"<p>{escape(_in_short(facts, compared))}</p>",
-        _loop(stream),
+        _loop(stream, facts),
         "<h2>Recorded beside shown</h2><p>The worst picture, the middle one and the best; errors in red.</p>",
         *(_figure(pairs[key]) for key in shown),
         f"<h2>Errors</h2><p>{escape(_about_errors(compared))}</p>",
@@ -127,10 +125,9 @@ def _picture(picture: U8) -> str:
     return f"<img alt='' width='{width}' height='{height}' src='data:image/jpeg;base64,{_text(coded.tobytes())}'> "
 
 
-def _loop(stream: Path) -> str:
+def _loop(stream: Path, facts: StreamInfo) -> str:
     """A turn around the scene while it plays."""
-    with open_stream(stream) as opened:
-        width = max(camera.width for camera in opened.header.cameras)
+    width = max(camera.width for camera in facts.header.cameras)
     with tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "loop.mp4"
         decode(stream, film, move="orbit", scale=min(1.0, _LOOP_WIDTH / width))
@@ -155,15 +152,12 @@ def _bytes(facts: StreamInfo) -> str:
 
 
 def _facts(stream: Path, facts: StreamInfo) -> Iterator[str]:
-    """What decogs-info says before its rows of frames, the digests, and what made the page."""
+    """What decogs-info says before its rows of frames, the file's digest, and what made the page."""
     for line in summary_lines(facts):
         if not line:
             break
         yield line.replace(str(facts.path), stream.name)
     yield f"SHA-256      {file_digest(stream)}"
-    with open_stream(stream) as opened:
-        *_, last = opened.frames()
-        yield f"last frame   digest {digest(last.state):016x}"
     yield f"report       decogs {__version__}"
 
 

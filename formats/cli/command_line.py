@@ -1,7 +1,7 @@
 """What the commands of all layers share: arguments, terminal output and exit codes.
 
-Exit code 0 when all went well, 2 after an error (one line on stderr), 75 for a command that a farm runs when it may be
-tried again, 130 after Ctrl-C, 141 when the reader of a pipe is gone.
+Exit code 0 when all went well, 1 where ``decogs-verify`` finds a difference, 2 after an error (one line on stderr), 75
+for a command that a farm runs when it may be tried again, 130 after Ctrl-C, 141 when the reader of a pipe is gone.
 """
 
 from __future__ import annotations

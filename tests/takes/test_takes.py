@@ -122,9 +122,14 @@ def test_what_changes_is_made_again_with_what_depends_on_it(
     code, states = making(made, "-j", 2)
     done = [name for name in STEPS if states[name] == "made"]
     assert code == 0
-    # What comes out with the same bytes does not make others anew.
     assert done == again
     assert making(made)[1] == dict.fromkeys(STEPS, "up to date")
+
+
+def test_what_comes_out_with_the_same_bytes_makes_nothing_else_anew(made: Path, making) -> None:
+    made.write_text(TAKE.replace("threads = 1", "threads = 2"))
+    code, states = making(made)
+    assert (code, [name for name in STEPS if states[name] == "made"]) == (0, ["encode"])
 
 
 def test_other_footage_is_encoded_anew(made: Path, making) -> None:
