@@ -44,4 +44,4 @@ def test_which_layer_is_shown_and_when(tmp_path: Path) -> None:
         "damaged": hit.frame,
     }
     (tmp_path / "expected.json").write_text(json.dumps(facts))
-    assert run_player_tests("layers.test", environment={"DECOGS_LAYERS": str(tmp_path)}) == 4
+    assert run_player_tests("layers.test", environment={"DECOGS_LAYERS": str(tmp_path)}) == 5

@@ -211,11 +211,11 @@ class OpenStream implements SceneStream {
     if (start < 0) return;
     const turn = ++this.aheadTurn;
     // What is due first comes first: some of the base, then what refines it.
-    const length = this.layers.wanted ? Math.min(AHEAD_BYTES, this.baseEnd(from, BASE_SECONDS) - start) : AHEAD_BYTES;
-    if (!(this.layers.wanted && this.hasBase(from))) {
+    const length = this.hasLayers ? Math.min(AHEAD_BYTES, this.baseEnd(from, BASE_SECONDS) - start) : AHEAD_BYTES;
+    if (!(this.hasLayers && this.hasBase(from))) {
       await Promise.all([this.source.prefetch(start, length), this.walkAhead(start + length, turn)]);
     }
-    if (this.layers.wanted && this.indexed !== null && this.hasBase(from)) await this.layers.readOn(this.table, from);
+    if (this.hasLayers && this.hasBase(from)) await this.layers.readOn(this.table, from);
     // Where there is an index, nobody walks along the packets.
     if (this.indexed !== null) {
       const goesOn = (): boolean => !this.closed && turn === this.aheadTurn; // what was read ahead may be given up
@@ -229,6 +229,11 @@ class OpenStream implements SceneStream {
       count = this.table.length;
       await this.walkTo(count + WALKED_AT_ONCE, undefined, end);
     }
+  }
+
+  /** Whether all layers are wanted and can be had: only an index tells where those above the base lie. */
+  private get hasLayers(): boolean {
+    return this.indexed !== null && this.layers.wanted;
   }
 
   /** Whether enough of the base is there to read something else. */
@@ -251,7 +256,7 @@ class OpenStream implements SceneStream {
 
   async refine(frame: number): Promise<boolean> {
     await this.indexRead;
-    if (this.closed || this.indexed === null || !this.layers.wanted || frame >= this.table.length) return false;
+    if (this.closed || !this.hasLayers || frame >= this.table.length) return false;
     if (this.ahead && !this.hasBase(frame)) return false;
     await this.layers.fetch(this.table, frame);
     return !this.closed;
@@ -368,8 +373,8 @@ class OpenStream implements SceneStream {
   private readBehind(frame: number): void {
     const { table } = this;
     const end = table.offset(frame) + table.entries[frame].bytes;
-    if (this.layers.wanted && this.hasBase(frame)) return;
-    const length = this.layers.wanted ? this.baseEnd(frame, BASE_SECONDS) - end : AHEAD_BYTES;
+    if (this.hasLayers && this.hasBase(frame)) return;
+    const length = this.hasLayers ? this.baseEnd(frame, BASE_SECONDS) - end : AHEAD_BYTES;
     this.source.prefetch(end, Math.min(AHEAD_BYTES, length)).catch(() => undefined); // whoever needs the bytes says what goes wrong
   }
 

@@ -26,7 +26,7 @@ const bytesOf = (name: string): Uint8Array<ArrayBuffer> => new Uint8Array(readFi
 /** Bytes of which only some have come, until they are read. */
 class Arriving implements ByteSource {
   readonly name = "arriving";
-  readonly access = "ranges";
+  access: ByteSource["access"] = "ranges";
   /** What was read without being there. */
   readonly asked: Span[] = [];
   comes = true;
@@ -113,6 +113,16 @@ if (EXPECTED !== null) {
       assert.equal(frame.layer, isBase ? 0 : 1);
     }
     assert.match(stream.notices.join(" "), /checksum/);
+    stream.close();
+  });
+
+  test("where only the whole file can be had, all its frames are found before anything plays", async () => {
+    const source = new Arriving(bytesOf("layered.dgs"), 0, 0);
+    source.access = "sequential";
+    const stream = await createStream(source);
+    await stream.prefetch(0);
+    assert.equal(stream.frames.length, base.length);
+    for (const index of base.keys()) assert.equal(hashOf(await stream.frame(index)), base[index], `frame ${index}`);
     stream.close();
   });
 
