@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from decogs.codec.header.profiles import PROFILES, Profile
 from decogs.formats.cli.command_line import (
+    INTERRUPTED,
     Parser,
     counted,
     in_option_names,
@@ -211,7 +212,8 @@ def _add_long_takes(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--layers",
         action="store_true",
-        help="write the finished stream as a base that plays alone, and what makes it whole (decogs-edit layer)",
+        help="write a base that plays alone, and what makes it whole: of the finished stream (decogs-edit layer), or as it "
+        "grows with --live or into a pipe",
     )
     group.add_argument(
         "--profile",
@@ -299,22 +301,33 @@ def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
         return retryable(parser, lambda: _encode(parser, options))
     else:
         code = _encode(parser, options)
-    return code or _finish(parser, options, operations) if operations else code
+    # A recording is ended by Ctrl-C, so what it wrote is finished all the same.
+    ended = code == 0 or (code == INTERRUPTED and options.live is not None)
+    return code if operations is None or not ended else _finish(parser, options, operations) or code
 
 
-def _finishing(options: argparse.Namespace) -> list[Operation]:
-    """What is done to the finished stream. Raises UsageError for outputs that are never finished here."""
+def _finishing(options: argparse.Namespace) -> list[Operation] | None:
+    """What is done to the finished stream, None for nothing. Raises UsageError for outputs that are never finished."""
     from decogs.decoder.editing.operations.layer import MakeLayers
     from decogs.decoder.editing.operations.profile import KeepProfile
 
-    operations: dict[str, Operation] = {"layers": MakeLayers()} if options.layers else {}
+    operations: dict[str, Operation] = {}
+    if options.layers and not _layers_grow(options):
+        operations["layers"] = MakeLayers()
     if options.profile is not None:
         operations["profile"] = KeepProfile(options.profile)
     for asked in operations:
         for name, value in {"only": options.only, "output": "-" if options.output == "-" else None}.items():
             if value is not None:
                 raise UsageError(f"`{asked}`: needs a finished stream, so not with `{name}` {value}; use `edit`")
-    return list(operations.values())
+    # Layers that grew are measured: their header was written before they were known.
+    is_measured = _layers_grow(options) and options.output != "-"
+    return list(operations.values()) if operations or is_measured else None
+
+
+def _layers_grow(options: argparse.Namespace) -> bool:
+    """Whether layers are written while frames are encoded: where there is no finished stream yet, or none ever."""
+    return options.layers and (options.live is not None or options.output == "-")
 
 
 def _finish(parser: Parser, options: argparse.Namespace, operations: Sequence[Operation]) -> int:
@@ -388,6 +401,7 @@ def encode_job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
             options.target_psnr,
             _profile_of_all(options),
         ),
+        layers=_layers_grow(options),
         **{name: getattr(options, name) for name in same},
     )
     return job, option_names
@@ -403,7 +417,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
     print_text("\n".join(summary(report)), to_stderr=options.output == "-")
     for warning in warnings_of(report):
         warn_as(parser)(warning)
-    return 130 if report.interrupted else 0
+    return INTERRUPTED if report.interrupted else 0
 
 
 @contextmanager

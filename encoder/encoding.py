@@ -32,6 +32,7 @@ from .input.sound import SoundSource, sound_source
 from .job.job import EncodeJob
 from .job.switches import Switches, check_together, with_switches
 from .job.targets import Targets, with_targets
+from .layering.recording import LayeredOutput
 from .methods import FRAME_METHODS, require_sparse
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
@@ -66,7 +67,7 @@ def encode(
     with ExitStack() as open_files:
         open_files.callback(stop_waiting, work.rig.sources)  # of the frame that is read ahead
         taken = open_output(work.output, resume=job.resume) if work.part is None else open_part(work.output)
-        target = open_files.enter_context(taken)
+        target = open_files.enter_context(LayeredOutput(taken) if job.layers else taken)
         observers = [] if job.log is None else [open_files.enter_context(EncodeLog(Path(job.log), append=job.resume))]
         observer = Observers([*observers, *([] if progress is None else [progress])])
         curve = None
@@ -149,6 +150,9 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     check_device(job.device)
     if not (isinstance(job.seed, int) and job.seed >= 0):
         raise UsageError(f"`seed` {job.seed}: give a number of at least 0, a whole one")
+    if job.layers and (job.resume or job.only is not None):
+        other = "resume" if job.resume else "only"
+        raise UsageError(f"`layers` while recording: not with `{other}`; encode without, then use `edit`")
     settings = chosen_settings(job)
     base = _base(settings, job)
     source = None if base is not None else source_of(job)

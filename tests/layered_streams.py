@@ -57,7 +57,11 @@ def layered(stream: Path, output: Path, *, refreshed: int = 1 << 30) -> Path:
     return output
 
 
+def flat(values: np.ndarray) -> np.ndarray:
+    return values.reshape(len(values), int(np.prod(values.shape[1:]))).astype(np.int64)
+
+
 def rows_of(state: State) -> np.ndarray:
     """All Gaussians' integers (N, channels), in an order of their own."""
-    rows = np.concatenate([getattr(state, n).reshape(len(state), -1).astype(np.int64) for n in ARRAYS], axis=1)
+    rows = np.concatenate([flat(getattr(state, n)) for n in ARRAYS], axis=1)
     return rows[np.lexsort(rows.T)]

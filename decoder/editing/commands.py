@@ -71,6 +71,8 @@ def _edit(parser: Parser, words: Sequence[str]) -> None:
         wrong = "`dry_run` writes nothing; leave out `output`" if options.dry_run else "name what to write by `output`"
         raise UsageError(wrong)
     operations = parse_operations(asked)
+    if not operations and options.recipe is None:
+        raise UsageError("no operation is given; decogs-edit --help lists them")
     output = None if options.output is None else path_or_pipe(options.output, "the stream")
     with progress("editing", quiet=options.quiet) as on_frame:
         report = edit(

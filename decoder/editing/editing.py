@@ -59,16 +59,14 @@ def edit(
 
     Scenes that no operation changes keep their bits, rows that none changes theirs; sound goes with its frames. Packets
     pass one by one: memory does not grow with the take. METRICS and private packets are left out, since they tell of
-    the stream that was. ``output``: a file's name, or an open file; None only finds out what the edit would do, and
-    writes nothing.
+    the stream that was; layers are measured anew. ``output``: a file's name, or an open file; None only finds out what
+    the edit would do, and writes nothing.
     ``max_memory`` (bytes) bounds the decoding of each stream, as in ``open_stream``. ``on_frame(done, all)`` reports
     progress, ``on_warning(text)`` damage that is passed over.
 
     Raises UsageError, StreamError or OSError; nothing is then left under the output's name.
     """
     operations = [*([] if recipe is None else read_recipe(recipe)), *operations]
-    if not operations:
-        raise UsageError("no operation is given; decogs-edit --help lists them")
     if len(operations) > MAX_OPERATIONS:
         raise UsageError(
             f"{len(operations)} operations are too many; give up to {MAX_OPERATIONS} at once, "

@@ -67,10 +67,11 @@ class LayerWriter:
             self._pending.append((number, payload))
         self.is_empty = self.is_empty and not len(frame.state)
 
-    def finish(self) -> None:
-        """Appends the refinements of the frames so far."""
+    def finish(self, frames: int | None = None) -> None:
+        """Appends the refinements of the frames so far, or of the first ``frames``."""
         for number, payload in self._pending:
-            self._sink.write(PacketKind.REFINE, number, payload)
+            if frames is None or number < frames:
+                self._sink.write(PacketKind.REFINE, number, payload)
         self._pending = []
 
     def _aligned(self, values: Attributes) -> tuple[State, bytes]:

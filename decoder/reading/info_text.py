@@ -76,7 +76,8 @@ def _sound(sound: SoundInfo) -> str:
 def _layer(number: int, layer: Layer) -> str:
     name = "base" if number == 0 else f"{number}, with those below"
     likeness = "" if layer.psnr is None else f", {layer.psnr:.1f} dB of the whole"
-    return f"{name}: up to {layer.gaussians} Gaussians, {size_text(round(layer.bytes_per_frame))} a frame{likeness}"
+    size = f"{size_text(round(layer.bytes_per_frame))} a frame" if layer.bytes_per_frame else "bytes not known"
+    return f"{name}: up to {layer.gaussians} Gaussians, {size}{likeness}"
 
 
 def _profiles(facts: StreamInfo) -> Iterator[str]:

@@ -50,6 +50,7 @@ class EncodeJob:
     closed: bool = False  # every segment starts from the first keyframe and depends on no other
     only: Frames = None  # whole closed segments, or the first frame: the output is a part, for `join`
     resume: bool = False  # go on with what the same encode left; the file gets the bytes of one that was not cut off
+    layers: bool = False  # written as a base and what refines it, while it is encoded; not parts, nor with ``resume``
     metrics: bool = False  # every frame's PSNR goes into the stream, for the player
 
     seed: int = 0  # the same one gives the same bytes, except with a time budget

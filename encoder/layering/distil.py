@@ -26,8 +26,6 @@ _DISSIMILARITY = 0.2
 _RATES = LearningRates(means=1.6e-3, log_scales=3e-2, quaternions=0.0, opacity_logits=0.1, sh_dc=2e-2, sh_rest=1e-3)
 """Means in units of the rig's extent. Quaternions stay: for .6 dB of the base they would take a quarter more bytes of
 what refines it."""
-_GROWTH = 0.35
-"""Of logarithmic sizes at first: few Gaussians have to cover what many did."""
 _LAST_RATE = 0.1
 """Share of the rates that is left in the last step."""
 _HIDDEN_LOGIT = -20.0
@@ -66,8 +64,7 @@ def distil(
     Training begins with ``start``, whose ``kept`` (N,) Gaussians stay as they are.
     """
     reference = moments[0].splats
-    growth = np.where(kept, 0, _GROWTH).astype(np.float32)[:, None]
-    optimiser = kernel.optimiser(replace(start, log_scales=start.log_scales + growth))
+    optimiser = kernel.optimiser(start)
     if kept.any():
         optimiser.freeze({name: _of_rows(getattr(start, name), kept) for name in ATTRIBUTES})
     order = view_order(len(moments) * len(cameras), random)

@@ -18,7 +18,7 @@ from typing import BinaryIO
 
 from decogs.formats.errors import TryAgainError, UsageError
 from decogs.formats.files.outputs import Expendable, GrowingFile, Leftover, errors_named, is_device
-from decogs.formats.stream.container import StreamWriter
+from decogs.formats.stream.container import VERSION, StreamWriter
 
 from .resume import Interrupted, IsSuch, find_interrupted, is_expendable
 
@@ -56,7 +56,7 @@ class StreamOutput(ABC):
         return None
 
     @abstractmethod
-    def begin(self, header: bytes) -> None:
+    def begin(self, header: bytes, version: tuple[int, int] = VERSION) -> None:
         """Starts a new stream with this header payload."""
 
     def write(self, kind: int, frame: int, payload: bytes) -> int:
@@ -67,6 +67,10 @@ class StreamOutput(ABC):
         """The writer, which must have begun."""
         assert self.writer is not None
         return self.writer
+
+    def cut(self, frames: int) -> bool:
+        """Takes back what lies behind the first ``frames``, where it can; whether anything can still be written."""
+        return True
 
     @abstractmethod
     def close(self, frames: int) -> None:
@@ -119,12 +123,12 @@ class FileOutput(StreamOutput):
         self._left = find_interrupted(self._growing.output, self.growing)
         return self._left
 
-    def begin(self, header: bytes) -> None:
+    def begin(self, header: bytes, version: tuple[int, int] = VERSION) -> None:
         with self._disk_errors():
             file = self._growing.file
             file.seek(0)
             file.truncate()
-            self.writer = StreamWriter(file, header)
+            self.writer = StreamWriter(file, header, version)
 
     def write(self, kind: int, frame: int, payload: bytes) -> int:
         with self._disk_errors():
@@ -142,14 +146,20 @@ class FileOutput(StreamOutput):
                 self.writer = StreamWriter.continuing(file, left.entries, left.size)
         return super().open()
 
+    def cut(self, frames: int) -> bool:
+        if self.writer is None or self._failed:
+            return False
+        with self._disk_errors():
+            _cut_after(frames, self._growing.file, self.writer)
+        return True
+
     def close(self, frames: int) -> None:
         if self.writer is None:
             return
         if not frames:
             self._growing.discard()
-        elif not self._failed:
+        elif self.cut(frames):
             with self._disk_errors():
-                _cut_after(frames, self._growing.file, self.writer)
                 self.writer.finish()
 
     def publish(self) -> int:
@@ -182,9 +192,9 @@ class PipeOutput(StreamOutput):
     def name(self) -> Path:
         return self._name
 
-    def begin(self, header: bytes) -> None:
+    def begin(self, header: bytes, version: tuple[int, int] = VERSION) -> None:
         with self._named:
-            self.writer = StreamWriter(self._file, header)
+            self.writer = StreamWriter(self._file, header, version)
 
     def write(self, kind: int, frame: int, payload: bytes) -> int:
         with self._named:
@@ -232,4 +242,5 @@ def _cut_after(frames: int, file: BinaryIO, writer: StreamWriter) -> None:
         file.seek(end)
         file.truncate()
         del writer.entries[frames:]
+        writer.refinements = [entry for entry in writer.refinements if entry.offset < end]
         writer.bytes_written = end

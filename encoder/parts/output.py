@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from decogs.codec.header.header import StreamHeader
-from decogs.formats.stream.container import StreamWriter
+from decogs.formats.stream.container import VERSION, StreamWriter
 
 from ..output.stream_output import StreamOutput, open_output
 from .manifest import Part, read_part, with_part
@@ -41,8 +41,8 @@ class PartOutput(StreamOutput):
     def growing(self) -> Path | None:
         return self._inner.growing
 
-    def begin(self, header: bytes) -> None:
-        self._inner.begin(with_part(header, self._part))
+    def begin(self, header: bytes, version: tuple[int, int] = VERSION) -> None:
+        self._inner.begin(with_part(header, self._part), version)
 
     def write(self, kind: int, frame: int, payload: bytes) -> int:
         return self._inner.write(kind, self._part.frame_in_part(frame), payload)

@@ -13,6 +13,8 @@ from decogs.formats.system.extras import install
 from ..take import Take
 from .base import Opener, Operation
 
+SHARE = 0.25
+"""Of the Gaussians in a base, if no other is asked for."""
 _MAKERS = "decogs.layering"
 """Entry points that make a base; training is the encoder's, which need not be installed."""
 
@@ -25,7 +27,7 @@ class MakeLayers(Operation):
     All together are the very Gaussians of before. Needs the encoder, and no rig: the base is trained on decoded frames.
     """
 
-    share: float = 0.25
+    share: float = SHARE
     name = "layer"
     summary = "write a base that plays alone, for slow links and small devices, and what makes it whole"
 
@@ -46,7 +48,7 @@ class MakeLayers(Operation):
     def add_options(parser: Parser) -> None:
         """How large the base is."""
         parser.add_argument(
-            "--share", type=number, default=0.25, metavar="S", help="of the Gaussians in the base (default 0.25)"
+            "--share", type=number, default=SHARE, metavar="S", help=f"of the Gaussians in the base (default {SHARE})"
         )
 
     @classmethod
