@@ -212,8 +212,8 @@ def _add_long_takes(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--layers",
         action="store_true",
-        help="write a base that plays alone, and what makes it whole: of the finished stream (decogs-edit layer), or as it "
-        "grows with --live or into a pipe",
+        help="write a base that plays alone, and what makes it whole: of the finished stream (decogs-edit layer), or "
+        "as it grows with --live or into a pipe",
     )
     group.add_argument(
         "--profile",
@@ -334,7 +334,9 @@ def _finish(parser: Parser, options: argparse.Namespace, operations: Sequence[Op
     from .layering.finished import finish_stream
 
     with progress("finishing", quiet=options.quiet) as on_frame:
-        report = finish_stream(options.output, operations, on_frame=on_frame, on_warning=warn_as(parser))
+        report = finish_stream(
+            options.output, operations, threads=options.threads, on_frame=on_frame, on_warning=warn_as(parser)
+        )
     print_text("\n".join((*report.notes, f"{printable(options.output)}: finished, {report.file_bytes} bytes")))
     return 0
 

@@ -67,7 +67,7 @@ def encode(
     with ExitStack() as open_files:
         open_files.callback(stop_waiting, work.rig.sources)  # of the frame that is read ahead
         taken = open_output(work.output, resume=job.resume) if work.part is None else open_part(work.output)
-        target = open_files.enter_context(LayeredOutput(taken) if job.layers else taken)
+        target = open_files.enter_context(LayeredOutput(taken, thread_count(job.threads)) if job.layers else taken)
         observers = [] if job.log is None else [open_files.enter_context(EncodeLog(Path(job.log), append=job.resume))]
         observer = Observers([*observers, *([] if progress is None else [progress])])
         curve = None

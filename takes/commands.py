@@ -48,6 +48,13 @@ def make_parser() -> Parser:
     parser.add_argument(
         "-j", "--jobs", type=number_of_threads, default=1, metavar="N", help="steps at a time (default 1)"
     )
+    parser.add_argument(
+        "--threads",
+        type=number_of_threads,
+        default=0,
+        metavar="N",
+        help="of all steps that are done at a time, where a take does not say (default: all processors for each)",
+    )
     parser.add_quiet()
     return parser
 
@@ -65,7 +72,12 @@ def _make(options: argparse.Namespace) -> int:
     rows: list[tuple[str, ...]] = []
     for take in takes:
         try:
-            making = Making(take, _quiet if options.quiet else _told, quiet=options.quiet)
+            making = Making(
+                take,
+                _quiet if options.quiet else _told,
+                threads=options.threads and max(1, options.threads // options.jobs),
+                quiet=options.quiet,
+            )
             outcomes = making.plan() if options.dry_run else making.make(options.jobs)
         except DecogsError as error:
             print_text(f"{printable(str(take.path))}: {error}", to_stderr=True)
@@ -150,7 +162,7 @@ def _report(options: argparse.Namespace) -> None:
         title = options.title or opened.header.presentation.title or stream.stem
     rig = rig_in_step(options)
     with progress("comparing", quiet=options.quiet) as on_frame:
-        page = report(stream, rig, title, on_frame)
+        page = report(stream, rig, title, on_frame, options.threads)
     write_whole(output, page.encode())
     print_text(f"{printable(str(output))}: {size_text(len(page))}")
 

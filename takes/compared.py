@@ -67,7 +67,7 @@ class Compared:
         return sorted(row for row in rows if np.isfinite(row[0]))
 
 
-def compare(stream: Path, rig: Rig, most_frames: int, on_frame: OnProgress) -> Compared:
+def compare(stream: Path, rig: Rig, most_frames: int, on_frame: OnProgress, threads: int = 0) -> Compared:
     """Each camera's pictures of up to ``most_frames`` frames, spread over the take, against the decoded ones.
 
     Raises UsageError where stream and rig have no camera or frame in common, StreamError and RigError.
@@ -77,19 +77,21 @@ def compare(stream: Path, rig: Rig, most_frames: int, on_frame: OnProgress) -> C
         names = _common(header, rig)
         frames = _chosen(header, opened.frame_count, rig, most_frames)
         columns = []
-        for done, pairs in enumerate(_pairs(header, opened.frames(), rig, frames, names), start=1):
+        for done, pairs in enumerate(_pairs(header, opened.frames(), rig, frames, names, threads), start=1):
             columns.append([pair.psnr for pair in pairs])
             on_frame(done, len(frames))
     held_out = tuple(name for name in names if name in header.held_out)
     return Compared(tuple(names), tuple(frames), np.array(columns).T, held_out, header.subject)
 
 
-def pairs_of(stream: Path, rig: Rig, wanted: Sequence[tuple[str, int]]) -> dict[tuple[str, int], Pair]:
+def pairs_of(
+    stream: Path, rig: Rig, wanted: Sequence[tuple[str, int]], threads: int = 0
+) -> dict[tuple[str, int], Pair]:
     """Pictures of these cameras and frames beside each other. Raises as `compare`."""
     frames = sorted({frame for _, frame in wanted})
     names = sorted({camera for camera, _ in wanted})
     with open_stream(stream, max_memory=DEFAULT_MAX_MEMORY) as opened:
-        found = _pairs(opened.header, opened.frames(), rig, frames, names)
+        found = _pairs(opened.header, opened.frames(), rig, frames, names, threads)
         return {
             (pair.camera, pair.frame): pair for pairs in found for pair in pairs if (pair.camera, pair.frame) in wanted
         }
@@ -117,7 +119,12 @@ def _chosen(header: StreamHeader, count: int, rig: Rig, most: int) -> list[int]:
 
 
 def _pairs(
-    header: StreamHeader, decoded: Iterator[DecodedFrame], rig: Rig, frames: Sequence[int], names: Sequence[str]
+    header: StreamHeader,
+    decoded: Iterator[DecodedFrame],
+    rig: Rig,
+    frames: Sequence[int],
+    names: Sequence[str],
+    threads: int,
 ) -> Iterator[list[Pair]]:
     lost: set[tuple[int, str]] = set()
     first = header.first_frame
@@ -128,13 +135,15 @@ def _pairs(
             continue
         scene = next(frame for frame in decoded if frame.index == at - first)
         yield [
-            _pair(header, scene, name, picture, is_lost=(at, name) in lost)
+            _pair(header, scene, name, picture, threads, is_lost=(at, name) in lost)
             for name, picture in zip(names, pictures, strict=True)
         ]
 
 
-def _pair(header: StreamHeader, scene: DecodedFrame, name: str, picture: NDArray[np.generic], *, is_lost: bool) -> Pair:
-    seen = render_view(header, scene.splats, name, corrections=scene.corrections)
+def _pair(
+    header: StreamHeader, scene: DecodedFrame, name: str, picture: NDArray[np.generic], threads: int, *, is_lost: bool
+) -> Pair:
+    seen = render_view(header, scene.splats, name, corrections=scene.corrections, threads=threads)
     shown = np.clip(seen.image, 0, 1)
     recorded = _display(picture)
     error = ((shown - recorded) ** 2).mean(axis=2).astype(np.float64)

@@ -15,6 +15,7 @@ from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import files_of, open_rig
 
 from .child import run_command
+from .options import takes
 from .records import Made, Records, foreign_file
 from .steps import Step
 from .take_file import Take
@@ -23,6 +24,7 @@ CURRENT, MADE, FAILED, LEFT_OUT, DUE = "up to date", "made", "failed", "left out
 _READ_BY = {"--masks", "--background-plate", "--ignore", "--keyframe", "--audio", "--sync", "--camera", "--subject"}
 _READ_BY |= {"--intrinsics"}
 """Options whose values may name what is read."""
+_THREADS = "--threads"
 _OF_RIGS = ("decogs-encode", "decogs-sync")
 
 
@@ -49,10 +51,11 @@ class Outcome:
 
 
 class Making:
-    """The making of one take. ``tell(line)`` is called with what happens; ``quiet``: commands show no progress."""
+    """The making of one take. ``tell(line)`` is called with what happens; ``threads``: of a step that does not say, 0
+    for all processors; ``quiet``: commands show no progress."""
 
-    def __init__(self, take: Take, tell: Callable[[str], None], *, quiet: bool = False) -> None:
-        self._take, self._tell, self._quiet = take, tell, ["-q"] if quiet else []
+    def __init__(self, take: Take, tell: Callable[[str], None], *, threads: int = 0, quiet: bool = False) -> None:
+        self._take, self._tell, self._threads, self._quiet = take, tell, threads, ["-q"] if quiet else []
         self._output = take.folder / take.output
         self._records = Records(self._output)
         self._lock = threading.Lock()
@@ -126,7 +129,9 @@ class Making:
         self._tell(f"{step.name}: {why}\n  $ {step.text}")
         began = time.monotonic()
         code, printed, said = run_command(
-            [*step.line(step.staged), *resumes, *self._quiet], self._take.folder, shown=shown
+            [*step.line(step.staged), *resumes, *self._told_threads(step), *self._quiet],
+            self._take.folder,
+            shown=shown,
         )
         seconds = time.monotonic() - began
         for line in printed.replace(step.staged_place, step.place).splitlines():
@@ -154,6 +159,11 @@ class Making:
             self._records.begun[step.name] = fingerprint
             self._records.save()
         return ["--resume"] if goes_on and any(staging.rglob("*.part")) else []
+
+    def _told_threads(self, step: Step) -> list[str]:
+        """What a step is told of threads: results do not depend on them, so that it is none of its own words."""
+        says = any(word.startswith(_THREADS) for word in step.words)
+        return [f"{_THREADS}={self._threads}"] if self._threads and not says and takes(step.command, _THREADS) else []
 
     def _finish_move(self, step: Step) -> None:
         """Puts what a step has made in its place, where that is not done."""

@@ -41,6 +41,11 @@ def check(command: str, words: list[str], where: str) -> None:
     parser.parse_args(words)
 
 
+def takes(command: str, option: str) -> bool:
+    """Whether the command has this option."""
+    return any(option in action.option_strings for action in _parser(command)._actions)
+
+
 def _parser(command: str) -> Parser:
     module, _, name = _PARSERS[command].partition(":")
     make: Callable[[], Parser] = getattr(import_module(f"decogs.{module}"), name)

@@ -40,20 +40,20 @@ table.errors td { text-align: right; min-width: 3em; color: #111 }
 </style>"""
 
 
-def report(stream: Path, rig: Rig, title: str, on_frame: OnProgress) -> str:
+def report(stream: Path, rig: Rig, title: str, on_frame: OnProgress, threads: int = 0) -> str:
     """The page, HTML. Raises StreamError, RigError, and UsageError where stream and rig have nothing in common."""
     facts = info(stream)
-    compared = compare(stream, rig, FRAMES, on_frame)
+    compared = compare(stream, rig, FRAMES, on_frame, threads)
     ranked = compared.ranked()
     worst = ranked[: max(1, round(_WORST_SHARE * len(ranked)))]
     shown = list(
         dict.fromkeys((camera, frame) for _, camera, frame in [worst[0], ranked[len(ranked) // 2], ranked[-1]])
     )
-    pairs = pairs_of(stream, rig, shown)
+    pairs = pairs_of(stream, rig, shown, threads)
     parts = [
         _STYLE,
         f"<p>{escape(_in_short(facts, compared))}</p>",
-        _loop(stream, facts),
+        _loop(stream, facts, threads),
         "<h2>Recorded beside shown</h2><p>The worst picture, the middle one and the best; errors in red.</p>",
         *(_figure(pairs[key]) for key in shown),
         f"<h2>Errors</h2><p>{escape(_about_errors(compared))}</p>",
@@ -125,12 +125,12 @@ def _picture(picture: U8) -> str:
     return f"<img alt='' width='{width}' height='{height}' src='data:image/jpeg;base64,{_text(coded.tobytes())}'> "
 
 
-def _loop(stream: Path, facts: StreamInfo) -> str:
+def _loop(stream: Path, facts: StreamInfo, threads: int) -> str:
     """A turn around the scene while it plays."""
     width = max(camera.width for camera in facts.header.cameras)
     with tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "loop.mp4"
-        decode(stream, film, move="orbit", scale=min(1.0, _LOOP_WIDTH / width))
+        decode(stream, film, move="orbit", scale=min(1.0, _LOOP_WIDTH / width), threads=threads)
         data = _text(film.read_bytes())
     return f"<video autoplay loop muted playsinline controls src='data:video/mp4;base64,{data}'></video>"
 

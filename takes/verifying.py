@@ -1,7 +1,11 @@
-"""Whether a stream is what its footage and settings give: some of it is encoded again, and compared byte for byte."""
+"""Whether a stream is what its footage and settings give: some of it is encoded again, and compared byte for byte.
+
+A stream in layers is compared scene by scene: all layers together are what one layer would be.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -9,7 +13,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.state import ARRAYS, State
+from decogs.decoder.reading.stream import open_stream
 from decogs.encoder.encoding import encode
 from decogs.encoder.job.job import EncodeJob
 from decogs.encoder.output.observer import EncodeObserver
@@ -20,6 +28,7 @@ from decogs.formats.files.regular_files import open_regular
 from decogs.formats.stream.container import FRAME_KINDS, PacketKind, PacketReader
 from decogs.formats.system.callbacks import OnWarning
 
+_LAYERS = "layers"
 _RECORDED = "recorded"
 """The setting that has a digest of each training camera's first picture."""
 FIRST_FRAMES = 3
@@ -36,10 +45,12 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class _Contents:
-    """What a stream says: its header as plain values, and of each frame kind and payload of its packet."""
+    """What a stream says: its header as plain values, and of each frame kind and payload of its packet, or a digest of
+    its scene where ``scenes`` are compared."""
 
     header: Mapping[str, Any]
     frames: Mapping[int, tuple[int, bytes]]
+    scenes: bool = False
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -70,7 +81,7 @@ def _beginning_again(
     """An encode of all frames, ended after the first ones: what it finds out about the rig depends on all."""
     output = folder / "again.dgs"
     encode(replace(job, output=output), progress=_Ending(observer, FIRST_FRAMES), on_warning=on_warning)
-    return _read(output), range(min(FIRST_FRAMES, len(kept.frames)))
+    return _read(output, scenes=kept.scenes), range(min(FIRST_FRAMES, len(kept.frames)))
 
 
 def _segment_again(
@@ -85,7 +96,7 @@ def _segment_again(
     first = int(kept.header["first_frame"])
     key, part = folder / "key.dgs", folder / "part.dgs"
     encode(replace(job, output=key, only=range(first, first + 1)), progress=observer, on_warning=on_warning)
-    made = _read(key)
+    made = _read(key, scenes=kept.scenes)
     if begin or end > 1:
         encode(
             replace(job, output=part, only=range(first + begin, first + end), keyframe=key),
@@ -93,7 +104,7 @@ def _segment_again(
             on_warning=on_warning,
         )
         # A part begins with the keyframe that the others take, but for that part itself.
-        again = _read(part)
+        again = _read(part, scenes=kept.scenes)
         offset = begin - (1 if begin else 0)
         others = {at + offset: packet for at, packet in again.frames.items() if at or not begin}
         made = replace(again, frames={**made.frames, **others})
@@ -120,11 +131,13 @@ def _differences(kept: _Contents, made: _Contents, frames: range) -> Iterator[st
 
 def _said(contents: _Contents, frame: int) -> str:
     packet = contents.frames.get(frame)
+    if packet is not None and contents.scenes:
+        return "a scene"
     return "nothing" if packet is None else f"{len(packet[1])} bytes"
 
 
-def _read(path: Path) -> _Contents:
-    """Raises StreamError."""
+def _read(path: Path, *, scenes: bool = False) -> _Contents:
+    """``scenes``: as of a stream in layers. Raises StreamError."""
     header: Mapping[str, Any] = {}
     frames: dict[int, tuple[int, bytes]] = {}
     with open_regular(path) as file:
@@ -135,7 +148,20 @@ def _read(path: Path) -> _Contents:
                 header = json.loads(packet.payload)
             elif packet.kind in FRAME_KINDS:
                 frames[packet.frame] = packet.kind, bytes(packet.payload)
-    return _Contents(header, frames)
+    if not (scenes or header.get(_LAYERS)):
+        return _Contents(header, frames)
+    with open_stream(path, strict=True) as stream:
+        digests = {frame.index: _digest(frame.state) for frame in stream.frames()}
+    starts = {frame for frame, (kind, _) in frames.items() if kind == PacketKind.KEY}
+    kinds = {frame: PacketKind.KEY if frame in starts else PacketKind.DELTA for frame in frames}
+    return _Contents(header, {frame: (kinds[frame], digests[frame]) for frame in frames}, scenes=True)
+
+
+def _digest(state: State) -> bytes:
+    """Of all Gaussians' integers, in an order that does not depend on their ids."""
+    columns = [getattr(state, name).reshape(len(state), -1) for name in ARRAYS if len(state)]
+    rows = np.concatenate(columns, axis=1) if columns else np.zeros((0, 0), np.int32)
+    return hashlib.sha256(np.ascontiguousarray(rows[np.lexsort(rows.T)] if len(rows) else rows).tobytes()).digest()
 
 
 class _Ending(EncodeObserver):

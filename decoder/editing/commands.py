@@ -9,6 +9,7 @@ from decogs.formats.cli.command_line import (
     Parser,
     counted,
     number_of_bytes,
+    number_of_threads,
     path_or_pipe,
     print_text,
     printable,
@@ -53,6 +54,13 @@ def edit_parser() -> Parser:
         metavar="SIZE",
         help="limit of memory for a stream, such as 512M or 2G (default 4G)",
     )
+    parser.add_argument(
+        "--threads",
+        type=number_of_threads,
+        default=0,
+        metavar="N",
+        help="of what an operation trains (default: all processors)",
+    )
     parser.add_quiet()
     return parser
 
@@ -81,6 +89,7 @@ def _edit(parser: Parser, words: Sequence[str]) -> None:
             operations,
             recipe=options.recipe,
             max_memory=options.max_memory,
+            threads=options.threads,
             on_frame=on_frame,
             on_warning=warn_as(parser),
         )

@@ -16,6 +16,7 @@ from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.files.outputs import PNG, STREAM, GrowingFile, Output, check_outputs, errors_named, is_device
 from decogs.formats.stream.container import LAYERED_VERSION, VERSION, PacketKind, StreamWriter
 from decogs.formats.system.callbacks import OnProgress, OnWarning
+from decogs.formats.system.threads import thread_count
 
 from ..limits import DEFAULT_MAX_MEMORY
 from .layers import LayerWriter
@@ -28,6 +29,10 @@ from .writing import FrameWriter
 MAX_OPERATIONS = 100
 """Of one edit: each of them reads frames through all those before it, one within the other. 300 `grade` of 11 000
 Gaussians keep 500 MB of scenes, 80 `crop` take 3 s a frame, and Python goes no deeper than some 900."""
+
+_PART, _RECORDED = "part", "recorded"
+"""Settings of which part of an encode a stream is, and of what footage (``encoder.parts``,
+``rig.pictures.recording_digests``)."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,7 @@ def edit(
     *,
     recipe: str | os.PathLike[str] | None = None,
     max_memory: int = DEFAULT_MAX_MEMORY,
+    threads: int = 0,
     on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> EditReport:
@@ -61,8 +67,9 @@ def edit(
     pass one by one: memory does not grow with the take. METRICS and private packets are left out, since they tell of
     the stream that was; layers are measured anew. ``output``: a file's name, or an open file; None only finds out what
     the edit would do, and writes nothing.
-    ``max_memory`` (bytes) bounds the decoding of each stream, as in ``open_stream``. ``on_frame(done, all)`` reports
-    progress, ``on_warning(text)`` damage that is passed over.
+    ``max_memory`` (bytes) bounds the decoding of each stream, as in ``open_stream``; ``threads``: of what an operation
+    trains, 0 for all processors. ``on_frame(done, all)`` reports progress, ``on_warning(text)`` damage that is passed
+    over.
 
     Raises UsageError, StreamError or OSError; nothing is then left under the output's name.
     """
@@ -80,11 +87,13 @@ def edit(
             return opened.enter_context(open_take(path, next(numbers), max_memory=max_memory, on_warning=on_warning))
 
         shown = _Shown(on_frame)
-        take = open_other(stream).each(shown.read)
+        take = replace(open_other(stream).each(shown.read), threads=thread_count(threads))
         for operation in operations:
             operation.check_numbers()
             take = operation.edit(take, open_other)
             _check_header(operation, take)
+        keeps_scenes = all(operation.keeps_scenes for operation in operations)
+        take = replace(take, header=_edited(take.header, keeps_scenes=keeps_scenes))
         _check_files(target, operations, [*take.sources, *([] if recipe is None else [Path(recipe)])])
         with _opened(target) as (file, publish):
             writer, frames = _written(take, file, shown)
@@ -92,6 +101,12 @@ def edit(
         if frames.is_empty and on_warning is not None:
             on_warning("no Gaussian is left in any frame; the stream shows its background alone")
         return EditReport(frames.frames, frames.kept, writer.bytes_written, tuple(note() for note in take.notes))
+
+
+def _edited(header: StreamHeader, *, keeps_scenes: bool) -> StreamHeader:
+    """The header without settings that only hold of the stream as it was encoded."""
+    gone = {_PART} if keeps_scenes else {_PART, _RECORDED}
+    return replace(header, settings={name: value for name, value in header.settings.items() if name not in gone})
 
 
 class _Shown:

@@ -99,7 +99,8 @@ class Take:
     ``hear`` gives the frames' sound, as ``read`` does the frames.
     ``starts``: the frames at which segments begin, of which 0 is the first. ``sources``: the files that are read on the
     way. ``notes``: what the operations so far have to say. ``profile``: that which its base must keep within; empty
-    where the header is only to say which one it does, None where it says nothing of that.
+    where the header is only to say which one it does, None where it says nothing of that. ``threads``: that operations
+    may use, 0 for all processors.
     """
 
     header: StreamHeader
@@ -110,6 +111,7 @@ class Take:
     sources: tuple[Path, ...] = ()
     notes: tuple[Note, ...] = ()
     profile: str | None = None
+    threads: int = 0
 
     def with_note(self, note: Note | str) -> Take:
         """The same take with one more line to say."""
@@ -150,9 +152,6 @@ class Take:
 
 _NAMED = 20
 
-_OF_THE_ENCODE = ("part", "recorded")
-"""Settings from which an encode would go on (``encoder.parts``, ``encoder.input.recordings``), which no edit is."""
-
 
 @contextmanager
 def open_take(
@@ -174,10 +173,9 @@ def open_take(
         if on_warning is not None and (lost := stream.unknown_parts()):
             on_warning(f"{path}: holds what this version does not know, which is left out: {', '.join(lost[:_NAMED])}")
         stored = stream.stored_header
-        settings = {name: value for name, value in stored.settings.items() if name not in _OF_THE_ENCODE}
         source = _Source(stream, base, number * OWN_IDS)
         # What is between the base and the whole becomes part of what makes it whole.
-        header = replace(stored, settings=settings, layers=stored.layers[:1] + stored.layers[-1:], profiles=())
+        header = replace(stored, layers=stored.layers[:1] + stored.layers[-1:], profiles=())
         profile = NO_PROFILE if stored.profiles else None
         # The first keyframe of a damaged stream may be none that is left.
         starts = (0, *(frame for frame in stream.keyframes if frame))

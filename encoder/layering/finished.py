@@ -16,6 +16,7 @@ def finish_stream(
     stream: str | os.PathLike[str],
     operations: Sequence[Operation],
     *,
+    threads: int = 0,
     on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> EditReport:
@@ -23,7 +24,7 @@ def finish_stream(
     path = Path(stream)
     made = path.with_name(path.name + ".edited")
     try:
-        report = edit(path, made, operations, on_frame=on_frame, on_warning=on_warning)
+        report = edit(path, made, operations, threads=threads, on_frame=on_frame, on_warning=on_warning)
         os.replace(made, path)
     finally:
         made.unlink(missing_ok=True)

@@ -26,7 +26,7 @@ def layered(take: Take, share: float) -> Take:
 
     All frames are read once for that; training takes some seconds for each round.
     """
-    maker, rounds = RoundMaker(take.header, share), list[Round]()
+    maker, rounds = RoundMaker(take.header, share, take.threads), list[Round]()
     borders, moved = _rounds(take), np.zeros(0, np.int64)
     for frames in borders:
         footage = _footage(take, frames)

@@ -34,9 +34,9 @@ class LayeredOutput(StreamOutput):
     is written. The header lists the most Gaussians that the encode may come to; bytes are not known.
     """
 
-    def __init__(self, inner: StreamOutput) -> None:
+    def __init__(self, inner: StreamOutput, threads: int = 0) -> None:
         super().__init__()
-        self._inner = inner
+        self._inner, self._threads = inner, threads
         self._header: StreamHeader | None = None
         self._recording: _Recording | None = None
 
@@ -62,7 +62,7 @@ class LayeredOutput(StreamOutput):
         before = 0 if self._recording is None else self.open().bytes_written
         if self._recording is None:
             assert self._header is not None
-            self._recording = _Recording(self._header, packet, self._inner)
+            self._recording = _Recording(self._header, packet, self._inner, self._threads)
         else:
             self._recording.add(packet)
         return self.open().bytes_written - before
@@ -88,8 +88,8 @@ class LayeredOutput(StreamOutput):
 class _Recording:
     """The frames so far of a stream with this header and ``first`` packet, as they go into ``output``."""
 
-    def __init__(self, header: StreamHeader, first: Packet, output: StreamOutput) -> None:
-        self._header, self._maker = header, RoundMaker(header, SHARE)
+    def __init__(self, header: StreamHeader, first: Packet, output: StreamOutput, threads: int) -> None:
+        self._header, self._maker = header, RoundMaker(header, SHARE, threads)
         payload = split_payload(first, header.corrected)
         self._first = self._state = reconstruct_frame(None, payload, header).state
         self._scenes, self._changed, self._age = [self._state], list[Rows](), 0

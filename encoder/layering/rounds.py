@@ -95,9 +95,9 @@ class _Sample:
 class RoundMaker:
     """Makes one round of a stream with this ``header`` after the other, with a base of about this ``share``."""
 
-    def __init__(self, header: StreamHeader, share: float) -> None:
+    def __init__(self, header: StreamHeader, share: float, threads: int = 0) -> None:
         self._share, self._lattice = share, header.lattice
-        self._kernel = training_kernel("cpu", background=header.background)
+        self._kernel = training_kernel("cpu", threads, header.background)
         self._cameras = _training_cameras(header.cameras)
         self._random = np.random.default_rng(_SEED)
         self._schedule = Schedule(_STEPS, rig_extent(header.cameras) or 1.0)

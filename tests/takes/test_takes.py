@@ -16,6 +16,7 @@ import pytest
 from decogs.encoder.commands import encode_main, encode_options, encode_parser
 from decogs.formats.errors import DecogsError
 from decogs.takes.commands import make_main
+from decogs.takes.making import Making
 from decogs.takes.records import FILE, Records
 from decogs.takes.steps import STAGING
 from decogs.takes.take_file import read_take
@@ -271,6 +272,14 @@ def test_cameras_are_placed_and_put_in_step_before(tmp_path: Path) -> None:
         "decogs-sync take/rig -o take/rig_in_step",
         "decogs-encode take/rig_in_step -o take/scene.dgs",
     ]
+
+
+def test_steps_are_told_of_threads_where_the_take_does_not_say(tmp_path: Path) -> None:
+    take = read_take(new_folder(tmp_path / "day"))
+    told = {step.name: Making(take, print, threads=2)._told_threads(step) for step in take.steps}
+    of_two = ["--threads=2"]
+    assert told == {**dict.fromkeys(STEPS, of_two), "encode": [], "page": []}
+    assert not any(Making(take, print)._told_threads(step) for step in take.steps)
 
 
 def test_takes_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from decogs.decoder.editing import Set, edit
+from decogs.codec.header.header import StreamHeader
+from decogs.decoder.editing import Grade, Set, edit
+from decogs.decoder.editing.operations.layer import MakeLayers
 from decogs.encoder.commands import encode_main
-from decogs.formats.stream.container import FRAME_KINDS, PacketKind, StreamWriter
+from decogs.formats.stream.container import FRAME_KINDS, LAYERED_VERSION, PacketKind, StreamWriter
 from decogs.takes.commands import verify_main
+from edited_streams import header_of
 from packets import iterate_packets
 
 RIG = Path(__file__).parents[1] / "demo" / "workbench"
@@ -70,7 +74,32 @@ def test_what_is_another_is_said(encoded, tmp_path: Path, capsys: pytest.Capture
     assert "frame 0 is another" in said
 
 
-def test_an_edited_stream_is_not_verified(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    edit(encoded[0], tmp_path / "edited.dgs", [Set(title="x")])
-    assert verify_main(["-q", str(tmp_path / "edited.dgs"), str(RIG), *encoded[1]]) == 2
+def test_an_edited_stream_is_verified_where_its_scenes_stayed(
+    encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stream, options = encoded
+    out = tmp_path / "edited.dgs"
+    edit(stream, out, [Set(title="x"), MakeLayers()])
+    for frame in (0, 5) if options is CLOSED else (0,):
+        assert verify_main(["--frame", str(frame), "-q", str(out), str(RIG), *options]) == 0
+    edit(stream, out, [Grade(exposure=1.0)])
+    assert verify_main(["-q", str(out), str(RIG), *options]) == 2
     assert "was edited since it was encoded" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoded", ["open"], indirect=True)
+def test_layers_of_another_scene_are_found(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    edit(encoded[0], tmp_path / "graded.dgs", [Grade(exposure=0.5), MakeLayers()])
+    settings = header_of(encoded[0]).settings
+    other = tmp_path / "other.dgs"
+    with (tmp_path / "graded.dgs").open("rb") as file:
+        head, *packets = list(iterate_packets(file))
+    header = replace(StreamHeader.from_bytes(head.payload), settings=settings)
+    with other.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes(), LAYERED_VERSION)
+        for packet in packets:
+            if packet.kind in (*FRAME_KINDS, PacketKind.REFINE):
+                writer.write(packet.kind, packet.frame, packet.payload)
+        writer.finish()
+    assert verify_main(["-q", str(other), str(RIG), *encoded[1]]) == 1
+    assert "frame 0 is another: a scene in the stream, a scene encoded again" in capsys.readouterr().out

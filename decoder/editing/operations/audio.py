@@ -31,6 +31,7 @@ class Audio(Operation):
     position: tuple[float, float, float] | None = None
     nowhere: bool = False
     name = "audio"
+    keeps_scenes = True
     summary = "add a file's sound, say what a track is and where it comes from"
 
     def edit(self, take: Take, open_other: Opener) -> Take:

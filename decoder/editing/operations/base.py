@@ -29,6 +29,9 @@ class Operation(ABC):
     summary: ClassVar[str]
     """What it does, in a line."""
 
+    keeps_scenes: ClassVar[bool] = False
+    """Whether all layers of each frame show what they did before, whatever else it does."""
+
     @property
     def outputs(self) -> tuple[Path, ...]:
         """Files that it writes beside the stream."""

@@ -29,6 +29,7 @@ class MakeLayers(Operation):
 
     share: float = SHARE
     name = "layer"
+    keeps_scenes = True
     summary = "write a base that plays alone, for slow links and small devices, and what makes it whole"
 
     def edit(self, take: Take, open_other: Opener) -> Take:

@@ -22,6 +22,7 @@ class KeepProfile(Operation):
 
     profile: str
     name = "profile"
+    keeps_scenes = True
     summary = "say for which players the stream is made: phone, headset or desktop"
 
     def edit(self, take: Take, open_other: Opener) -> Take:

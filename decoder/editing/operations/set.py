@@ -34,6 +34,7 @@ class Set(Operation):
     background: tuple[float, float, float] | None = None
     near: tuple[tuple[str, float], ...] = ()
     name = "set"
+    keeps_scenes = True
     summary = "set title, poster frame, first view, background, near planes, licence"
 
     def edit(self, take: Take, open_other: Opener) -> Take:

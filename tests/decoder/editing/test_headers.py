@@ -17,7 +17,7 @@ from decogs.codec.packets.sound import SoundTrack
 from decogs.codec.packets.syntax import write_key, write_skip
 from decogs.codec.scene.lattice import default_lattice, quantise
 from decogs.decoder.commands import decode_main, info_main
-from decogs.decoder.editing import Cameras, Operation, Retime, Set, Speed, Strip, Transform, Trim, edit
+from decogs.decoder.editing import Cameras, Grade, Operation, Retime, Set, Speed, Strip, Transform, Trim, edit
 from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.reading.stream import open_stream
 from decogs.formats.cameras import Camera
@@ -188,8 +188,11 @@ def test_strip_of_the_rig_leaves_one_camera(corrected_stream) -> None:
     assert corrections_of(out) == [{}] * 2
 
 
-def test_what_an_encode_goes_on_from_is_left_out_of_every_edit(corrected_stream) -> None:
-    assert header_of(edited(corrected_stream, Set(title="x"))).settings == {"preset": "none"}
+def test_what_only_holds_of_an_encode_is_left_out_where_it_does_not_hold(corrected_stream) -> None:
+    """Of which part it is, always; of what footage, where scenes are others."""
+    kept = {"preset": "none", "recorded": {"pictures": ["x"]}}
+    assert header_of(edited(corrected_stream, Set(title="x"))).settings == kept
+    assert header_of(edited(corrected_stream, Grade(exposure=1.0))).settings == {"preset": "none"}
 
 
 def test_cameras_go_with_all_that_is_told_of_them(corrected_stream) -> None:
