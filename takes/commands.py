@@ -46,6 +46,11 @@ def make_parser() -> Parser:
     )
     parser.add_argument("--dry-run", action="store_true", help="only say what would be done, and why")
     parser.add_argument(
+        "--forecast",
+        action="store_true",
+        help="with --dry-run, also what the encode will take, by a short one (decogs-analyze --forecast)",
+    )
+    parser.add_argument(
         "-j", "--jobs", type=number_of_threads, default=1, metavar="N", help="steps at a time (default 1)"
     )
     parser.add_argument(
@@ -60,9 +65,12 @@ def make_parser() -> Parser:
 
 
 def _make(options: argparse.Namespace) -> int:
+    from .forecast import forecast
     from .making import Making, check_apart
     from .take_file import read_take
 
+    if options.forecast and not options.dry_run:
+        raise UsageError("`forecast`: goes with `dry_run`")
     paths = [Path(name) for name in options.takes]
     if options.new is not None:
         return _new(paths, Path(options.new), quiet=options.quiet)
@@ -70,6 +78,7 @@ def _make(options: argparse.Namespace) -> int:
     check_apart(takes)
     failed = False
     rows: list[tuple[str, ...]] = []
+    told: list[str] = []
     for take in takes:
         try:
             making = Making(
@@ -88,7 +97,9 @@ def _make(options: argparse.Namespace) -> int:
             rows.append((str(take.path), *outcome.row(size_text)))
             if options.dry_run and outcome.why:
                 rows.append(("", "", f"$ {outcome.step.text}"))
-    print_text("\n".join(_table(rows)))
+        if options.forecast:
+            told += ["", f"{printable(str(take.path))}:", *forecast(take, shown=not options.quiet)]
+    print_text("\n".join([*_table(rows), *told]))
     return USER_ERROR if failed else 0
 
 
@@ -144,6 +155,10 @@ def report_parser() -> Parser:
     parser.add_argument("-o", "--output", required=True, metavar="REPORT.HTML", help="the page to write")
     parser.add_argument("--rig", dest="rig_dir", required=True, metavar="RIG_DIR", help="the rig it was encoded from")
     add_sync_option(parser)
+    parser.add_argument(
+        "--against", metavar="OTHER.DGS", help="another stream of the rig's frames: where this one is nearer to them"
+    )
+    parser.add_argument("--log", metavar="FILE", help="that decogs-encode --log wrote: the page says what it took")
     parser.add_argument("--title", metavar="TEXT", help="of the page (default: the stream's, or its file's name)")
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_quiet()
@@ -154,15 +169,20 @@ def _report(options: argparse.Namespace) -> None:
     from decogs.decoder.reading.stream import open_stream
     from decogs.formats.files.outputs import Output, check_outputs, files_read, write_whole
 
-    from .report import report
+    from .report import Extras, report
+    from .spent import read_spent
 
     output, stream = Path(options.output), Path(options.stream)
-    check_outputs([Output("output", output)], files_read(stream=stream))
+    check_outputs([Output("output", output)], files_read(stream=stream, log=options.log, against=options.against))
     with open_stream(stream) as opened:
         title = options.title or opened.header.presentation.title or stream.stem
+    extras = Extras(
+        None if options.log is None else read_spent(Path(options.log)),
+        None if options.against is None else Path(options.against),
+    )
     rig = rig_in_step(options)
     with progress("comparing", quiet=options.quiet) as on_frame:
-        page = report(stream, rig, title, on_frame, options.threads)
+        page = report(stream, rig, title, on_frame, options.threads, extras)
     write_whole(output, page.encode())
     print_text(f"{printable(str(output))}: {size_text(len(page))}")
 

@@ -67,15 +67,19 @@ class Compared:
         return sorted(row for row in rows if np.isfinite(row[0]))
 
 
-def compare(stream: Path, rig: Rig, most_frames: int, on_frame: OnProgress, threads: int = 0) -> Compared:
+def compare(
+    stream: Path, rig: Rig, most_frames: int, on_frame: OnProgress, threads: int = 0, *, upto: int | None = None
+) -> Compared:
     """Each camera's pictures of up to ``most_frames`` frames, spread over the take, against the decoded ones.
 
-    Raises UsageError where stream and rig have no camera or frame in common, StreamError and RigError.
+    ``upto``: frames of the stream from there on do not count. Raises UsageError where stream and rig have no camera or
+    frame in common, StreamError and RigError.
     """
     with open_stream(stream, max_memory=DEFAULT_MAX_MEMORY) as opened:
         header = opened.header
         names = _common(header, rig)
-        frames = _chosen(header, opened.frame_count, rig, most_frames)
+        count = opened.frame_count if upto is None else min(upto, opened.frame_count)
+        frames = _chosen(header, count, rig, most_frames)
         columns = []
         for done, pairs in enumerate(_pairs(header, opened.frames(), rig, frames, names, threads), start=1):
             columns.append([pair.psnr for pair in pairs])

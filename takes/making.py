@@ -199,7 +199,8 @@ def _reads(step: Step, other: Step) -> bool:
 def _read_by(step: Step, folder: Path) -> list[str]:
     """The files and folders that a step reads, as far as its words name them."""
     told = [word.partition("=") for word in step.words]
-    named = [value for option, _, value in told if option in _READ_BY and value and (folder / value).exists()]
+    read = _READ_BY | ({"--log", "--against"} if step.command == "decogs-report" else set())
+    named = [value for option, _, value in told if option in read and value and (folder / value).exists()]
     rigs = [value for option, _, value in told if option == "--rig"]
     inputs = list(step.inputs)
     if step.command in _OF_RIGS:

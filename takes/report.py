@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from decogs import __version__
@@ -20,18 +19,16 @@ from decogs.formats.rigs import Rig
 from decogs.formats.system.callbacks import OnProgress
 from decogs.rig.check.plan import document
 
-from .compared import U8, Compared, Pair, compare, pairs_of
+from .against import against
+from .compared import Compared, compare, pairs_of
+from .figures import error_table, in_text, pair_figure
 from .records import file_digest
+from .spent import Spent
 
 FRAMES = 12
 """Of a take, that are compared."""
 _WORST_SHARE = 0.05
 _LOOP_WIDTH = 480
-_PICTURE_WIDTH = 360
-_RED_ERROR = 0.25
-"""Difference, root mean square over colours, that is fully red in a map of errors."""
-_LOW_DB, _HIGH_DB = 20.0, 36.0
-"""Colours of the table of errors run between these."""
 _STYLE = """<style>
 pre { white-space: pre-wrap }
 @media print { video { display: none } table, figure { break-inside: avoid } }
@@ -40,7 +37,20 @@ table.errors td { text-align: right; min-width: 3em; color: #111 }
 </style>"""
 
 
-def report(stream: Path, rig: Rig, title: str, on_frame: OnProgress, threads: int = 0) -> str:
+@dataclass(frozen=True)
+class Extras:
+    """What a page may have besides: what the encode took, and another stream of the take (``other``)."""
+
+    spent: Spent | None = None
+    other: Path | None = None
+
+
+NOTHING_MORE = Extras()
+
+
+def report(
+    stream: Path, rig: Rig, title: str, on_frame: OnProgress, threads: int = 0, extras: Extras = NOTHING_MORE
+) -> str:
     """The page, HTML. Raises StreamError, RigError, and UsageError where stream and rig have nothing in common."""
     facts = info(stream)
     compared = compare(stream, rig, FRAMES, on_frame, threads)
@@ -54,14 +64,18 @@ def report(stream: Path, rig: Rig, title: str, on_frame: OnProgress, threads: in
         _STYLE,
         f"<p>{escape(_in_short(facts, compared))}</p>",
         _loop(stream, facts, threads),
+        _heard(facts),
         "<h2>Recorded beside shown</h2><p>The worst picture, the middle one and the best; errors in red.</p>",
-        *(_figure(pairs[key]) for key in shown),
+        *(pair_figure(pairs[key]) for key in shown),
         f"<h2>Errors</h2><p>{escape(_about_errors(compared))}</p>",
-        _error_table(compared),
+        error_table(compared),
         f"<h2>The worst {_WORST_SHARE:.0%}</h2><ul>",
         *(f"<li>{escape(camera)}, frame {frame}: {dB:.2f} dB</li>" for dB, camera, frame in worst),
-        "</ul><h2>Bytes</h2>",
+        "</ul>",
+        *([] if extras.other is None else against(stream, extras.other, rig, FRAMES, on_frame, threads)),
+        "<h2>Bytes</h2>",
         _bytes(facts),
+        "" if extras.spent is None else f"<p>{escape(extras.spent.text)}</p>",
         "<h2>The stream</h2><pre>",
         *(escape(line) for line in _facts(stream, facts)),
         "</pre>",
@@ -91,48 +105,18 @@ def _about_errors(compared: Compared) -> str:
     return f"PSNR in dB of {of}, {len(compared.frames)} frames; cameras marked * were kept out of training."
 
 
-def _error_table(compared: Compared) -> str:
-    rows = ["<tr><th>camera</th>" + "".join(f"<th>{frame}</th>" for frame in compared.frames) + "<th>mean</th></tr>"]
-    for name, values in zip(compared.cameras, compared.psnr, strict=True):
-        mark = "*" if name in compared.held_out else ""
-        known = values[np.isfinite(values)]
-        mean = float(known.mean()) if len(known) else float("nan")
-        rows.append(f"<tr><th>{escape(name)}{mark}</th>" + "".join(map(_cell, (*values.tolist(), mean))) + "</tr>")
-    return f"<div class='wide'><table class='errors'>{''.join(rows)}</table></div>"
-
-
-def _cell(value: float) -> str:
-    if not np.isfinite(value):
-        return "<td>-</td>"
-    share = float(np.clip((value - _LOW_DB) / (_HIGH_DB - _LOW_DB), 0, 1))
-    return f"<td style='background:hsl({120 * share:.0f} 60% 80%)'>{value:.1f}</td>"
-
-
-def _figure(pair: Pair) -> str:
-    error = np.nan_to_num(np.sqrt(pair.error)) / _RED_ERROR
-    grey = cv2.cvtColor(pair.recorded, cv2.COLOR_RGB2GRAY)[..., None].repeat(3, axis=2) // 2
-    red = np.clip(error, 0, 1)[..., None] * np.array([255, 40, 40]) + (1 - np.clip(error, 0, 1))[..., None] * grey
-    pictures = "".join(map(_picture, (pair.recorded, pair.shown, red.astype(np.uint8))))
-    caption = f"{escape(pair.camera)}, frame {pair.frame}: {pair.psnr:.2f} dB"
-    return f"<figure>{pictures}<figcaption>{caption}</figcaption></figure>"
-
-
-def _picture(picture: U8) -> str:
-    width = min(_PICTURE_WIDTH, picture.shape[1])
-    height = max(1, round(picture.shape[0] * width / picture.shape[1]))
-    small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-    coded = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1]
-    return f"<img alt='' width='{width}' height='{height}' src='data:image/jpeg;base64,{_text(coded.tobytes())}'> "
-
-
 def _loop(stream: Path, facts: StreamInfo, threads: int) -> str:
     """A turn around the scene while it plays."""
     width = max(camera.width for camera in facts.header.cameras)
     with tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "loop.mp4"
         decode(stream, film, move="orbit", scale=min(1.0, _LOOP_WIDTH / width), threads=threads)
-        data = _text(film.read_bytes())
+        data = in_text(film.read_bytes())
     return f"<video autoplay loop muted playsinline controls src='data:video/mp4;base64,{data}'></video>"
+
+
+def _heard(facts: StreamInfo) -> str:
+    return "<p>The stream's sound is in the film: switch it on there.</p>" if facts.sounds else ""
 
 
 def _bytes(facts: StreamInfo) -> str:
@@ -159,7 +143,3 @@ def _facts(stream: Path, facts: StreamInfo) -> Iterator[str]:
         yield line.replace(str(facts.path), stream.name)
     yield f"SHA-256      {file_digest(stream)}"
     yield f"report       decogs {__version__}"
-
-
-def _text(data: bytes) -> str:
-    return base64.b64encode(data).decode()

@@ -229,6 +229,7 @@ def _save(figure: Figure, path: Path, *, legend: bool = True) -> None:
         columns = legend_columns(labels, figure.get_figwidth())
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
     figure.savefig(path, dpi=110, metadata={"Software": None})
+    figure.savefig(path.with_suffix(".pdf"), metadata={"CreationDate": None, "Creator": None, "Producer": None})
 
 
 def legend_columns(labels: Sequence[str], inches: float) -> int:

@@ -1,6 +1,7 @@
 """Runs what a report asks of its rigs, and writes it: Markdown with pictures, and the same figures as JSON.
 
-Everything lies in one folder and refers to itself by relative links: NAME.md, NAME.json, pictures/, runs/.
+Everything lies in one folder and refers to itself by relative links: NAME.md, NAME.json, pictures/ (.png and .pdf),
+tables/ (.csv and .tex), runs/.
 Runs are made rig by rig and kept as they come; writing takes a second, so that it is always done from what is there.
 """
 
@@ -36,6 +37,7 @@ from . import summaries
 from .page import report_page
 from .plans import Contest, Plan
 from .plots import require_plots
+from .tables import write_tables
 
 NONE = "none"
 """For ``only``: nothing is run, the report is written from what is there."""
@@ -110,6 +112,7 @@ def make_report(
     document = json.dumps(_document(plan, results, command), indent=1) + "\n"
     write_whole(folder / f"{plan.name}.json", document.encode())
     write_whole(path, ("\n".join(lines) + "\n").encode())
+    write_tables(lines, folder / "tables", plan.name)
     return path
 
 

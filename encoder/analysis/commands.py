@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -66,6 +67,11 @@ def analyze_parser() -> Parser:
     parser.add_argument(
         "-o", "--output", metavar="DIR", help="write DIR/index.html: the rig's plan, its cameras, and what is wrong"
     )
+    parser.add_argument(
+        "--forecast",
+        action="store_true",
+        help="also say what an encode with each preset will take: bytes, processor time and quality, by a short encode",
+    )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_quiet()
     return parser
@@ -77,6 +83,11 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     from decogs.rig.mattes import files_of_mattes, open_mattes
     from decogs.rig.pictures.ingest import Ingest, frame_span
 
+    from ..forecast.ladder import document as document_of
+    from ..forecast.ladder import table
+    from ..forecast.pilot import run_pilot
+    from ..job.job import EncodeJob
+    from ..output.progress import TerminalProgress
     from .analyse import analyse
 
     rig = without_cameras(rig_in_step(options), options.exclude)
@@ -115,8 +126,22 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
             seen = range(read[0], read[-1] + 1, analysis.stats.step)
             for warning in lost_mattes(mattes, names, seen, on_frame):
                 warn_as(parser)(warning)
-    document = json.dumps(analysis.to_json(), indent=1) + "\n"
-    print_text("\n".join(analysis.table()), to_stderr=options.json == "-")
+    lines, found = [*analysis.table()], analysis.to_json()
+    if options.forecast:
+        job = EncodeJob(
+            rig,
+            "-",
+            frames=slice(span.start, span.stop),
+            holdout=options.holdout,
+            mattes=matte_choice(options),
+            threads=options.threads,
+        )
+        with TerminalProgress(None if options.quiet else sys.stderr) as observer:
+            pilot = run_pilot(job, analysis.stats, observer)
+        lines += ["", *table(pilot, len(span))]
+        found["forecast"] = document_of(pilot, len(span))
+    document = json.dumps(found, indent=1) + "\n"
+    print_text("\n".join(lines), to_stderr=options.json == "-")
     if options.json == "-":
         print_text(document.rstrip("\n"))
     elif to_file:

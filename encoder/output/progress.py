@@ -6,10 +6,15 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, TextIO
 
+from decogs.formats.cli.command_line import size_text
 from decogs.formats.cli.progress import Pace, Progress, open_progress
 
+from ..forecast.ladder import FRAMES_KNOWN, whole_of
 from .observer import EncodeObserver
 from .reports import FrameReport
+
+_LEAST_FRAMES = 20
+"""Of an encode that is foretold."""
 
 
 class TerminalProgress(EncodeObserver):
@@ -23,6 +28,7 @@ class TerminalProgress(EncodeObserver):
         self._stream, self._endless, self._pace = stream, endless, pace
         self._terminal = stream if stream is not None and stream.isatty() else None
         self._frames, self._asked = 0, range(0)
+        self._first: list[FrameReport] = []
         self._progress: Progress | None = None
 
     def __enter__(self) -> TerminalProgress:
@@ -58,9 +64,22 @@ class TerminalProgress(EncodeObserver):
             self._close()
         progress = self._open("frames", "frame")
         self._frames += report.frame in self._asked  # A part's first keyframe is another part's.
+        if len(self._first) < FRAMES_KNOWN and not report.replayed:
+            self._first.append(report)
+            self._forecast(progress)
         progress.to(self._frames, self._total)
         if self._terminal:
             progress.write(frame_line(report))
+
+    def _forecast(self, progress: Progress) -> None:
+        """Says what all of it will take, once some frames are known, of an encode that has many more."""
+        if len(self._first) < FRAMES_KNOWN or self._total < _LEAST_FRAMES or self._first[0].kind != "key":
+            return
+        size, cpu = whole_of(self._first, self._total)
+        progress.write(
+            f"about {size_text(round(size.low))} to {size_text(round(size.high))}, {cpu.low:.0f} to {cpu.high:.0f} "
+            f"CPU-s in all"
+        )
 
     @property
     def _total(self) -> int:

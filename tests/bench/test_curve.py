@@ -49,7 +49,7 @@ def test_the_whole_report(three_frames: Path, tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(rig_bench, "encode_stream", observed)
     path = make_report(PLAN, [three_frames], tmp_path, OPTIONS, command="decogs-bench curve <three>")
     assert sizes == {"keyframe": 64, "own": 64, "small": 32, "preset": 64, "few": 64}
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["curve.json", "curve.md", "pictures", "runs"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["curve.json", "curve.md", "pictures", "runs", "tables"]
     text = path.read_text()
     assert "### What is best for its price\n" in text
     (link,) = re.findall(r"\]\(([^)]+)\)", text)

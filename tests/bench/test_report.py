@@ -99,7 +99,7 @@ def test_the_papers_report(
     printed = capfd.readouterr()
     assert printed.out == f"{folder / 'paper.md'}\n"
     assert all(re.match(r"three .*, seed 0: \d frames, ", line) for line in printed.err.splitlines()), "a line a run"
-    assert sorted(path.name for path in folder.iterdir()) == ["paper.json", "paper.md", "pictures", "runs"]
+    assert sorted(path.name for path in folder.iterdir()) == ["paper.json", "paper.md", "pictures", "runs", "tables"]
     text = (folder / "paper.md").read_text()
     for question in PAPER.questions:
         assert f"### {question.title}\n" in text
@@ -115,8 +115,12 @@ def test_the_papers_report(
     links = linked_files(text)
     assert all((folder / link).is_file() for link in links), "relative, and all there"
     assert {f"pictures/three-{name}.png" for name in ("quality", "effort", "scanlines")} <= links
-    for path in (folder / "pictures").iterdir():
+    for path in (folder / "pictures").glob("*.png"):
         assert cv2.imread(str(path)).std() > 10, "something is drawn"
+        assert path.with_suffix(".pdf").read_bytes().startswith(b"%PDF"), "and for papers"
+    tables = {path.stem for path in (folder / "tables").glob("*.csv")}
+    assert tables == {path.stem for path in (folder / "tables").glob("*.tex")}
+    assert len(tables) >= len(PAPER.questions)
     # The preset itself (tau 10, r 1; all parts; every frame) is run once, by its first name.
     assert sorted(encoded) == sorted(
         [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from decogs.decoder.editing import Grade, Trim, edit
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
 from decogs.formats.errors import UsageError
@@ -67,6 +69,31 @@ def test_the_page_holds_all_that_it_shows(stream: Path, tmp_path: Path, capsys) 
     assert again.read_bytes() == out.read_bytes()
 
 
+def test_two_streams_beside_each_other(stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One that was made darker is worse everywhere; the page says by how much."""
+    other, page = tmp_path / "darker.dgs", tmp_path / "report.html"
+    edit(stream, other, [Grade(exposure=-0.5), Trim(slice(0, 2))])
+    assert report_main([str(stream), "--rig", str(RIG), "-o", str(page), "--against", str(other), "-q"]) == 0
+    text = page.read_text()
+    _, _, text = text.partition("<h2>Against darker.dgs</h2>")
+    rig = open_rig(str(RIG))
+    mine, theirs = (compare(each, rig, 12, lambda done, of: None, upto=2).psnr for each in (stream, other))
+    assert (mine > theirs + 1).all()
+    row, column = divmod(int(np.argmax(mine - theirs)), 2)
+    camera = rig.cameras[row].name
+    assert (
+        f"{camera}, frame {column}: recorded; {mine[row, column]:.2f} dB; darker.dgs {theirs[row, column]:.2f} dB"
+        in text
+    )
+    assert f"<td>{mine.mean():.2f}</td>" in text
+    assert f"<td>{theirs.mean(axis=1).min():.2f}</td>" in text
+    assert len(re.findall("data:image/jpeg", text)) == 10
+    late = tmp_path / "late.dgs"
+    edit(stream, late, [Trim(slice(1, 3))])
+    assert report_main([str(stream), "--rig", str(RIG), "-o", str(page), "--against", str(late), "-q"]) == 2
+    assert "begin with the rig's frames 2 and 3" in capsys.readouterr().err
+
+
 def test_another_rig_is_refused(stream: Path) -> None:
     rig = open_rig(str(RIG))
     others = tuple(replace(camera, name=f"other {camera.name}") for camera in rig.cameras)
@@ -80,3 +107,32 @@ def test_no_input_is_overwritten(stream: Path) -> None:
     before = stream.read_bytes()
     assert report_main([str(stream), "--rig", str(RIG), "-o", str(stream), "-q"]) == 2
     assert stream.read_bytes() == before
+
+
+def test_the_page_says_what_the_encode_took(stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Over all runs of one that was resumed."""
+    log, page = tmp_path / "encode.log", tmp_path / "report.html"
+    frame = {"event": "frame", "replayed": False}
+    lines = [
+        {"event": "start"},
+        {**frame, "elapsed": 40.0, "cpu_seconds": 60.0},
+        {"event": "start"},
+        {**frame, "replayed": True, "elapsed": 1.0, "cpu_seconds": 0.5},
+        {**frame, "elapsed": 3.0, "cpu_seconds": 1.0},
+        {**frame, "elapsed": 5.0, "cpu_seconds": 2.0},
+        {"event": "end", "elapsed": 6.0},
+    ]
+    log.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    words = [str(stream), "--rig", str(RIG), "-o", str(page), "--log", str(log), "-q"]
+    assert report_main(words) == 0
+    told = "Encoded in 46 s with 63 seconds of processor time: 60 for the first frame, 1.50 CPU-s each later one."
+    assert told in page.read_text()
+    capsys.readouterr()
+    for text, problem in (
+        ("[]", "is no log"),
+        ('{"event": "start"}', "no frame that was trained"),
+        (None, "No such file"),
+    ):
+        log.write_text(text) if text is not None else log.unlink()
+        assert report_main(words) == 2
+        assert problem in capsys.readouterr().err

@@ -1,0 +1,146 @@
+"""What each preset will cost and show, from a pilot: factors that were measured on other rigs (DESIGN.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from decogs.formats.cli.command_line import size_text
+
+from ..output.reports import FrameReport
+from .pilot import Pilot
+
+
+@dataclass(frozen=True)
+class Factor:
+    """How many times the pilot's figure: the geometric mean over rigs, and how its logarithm strays."""
+
+    mean: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class Gain:
+    """dB more than the pilot's camera that was left out: ``most``, less ``slope`` for each dB by which training views
+    were better than it. ``spread``: standard deviation over rigs, dB."""
+
+    most: float
+    slope: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """A preset against the pilot: bytes of its keyframe and of later frames, processor time of the training of both,
+    and quality."""
+
+    key_bytes: Factor
+    key_cpu: Factor
+    frame_bytes: Factor
+    frame_cpu: Factor
+    gain: Gain
+
+
+@dataclass(frozen=True)
+class Range:
+    """Where eight of ten rigs were."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Of a whole encode: bytes, processor seconds, and dB of a camera that is left out, None where unknown."""
+
+    preset: str
+    total_bytes: Range
+    cpu_seconds: Range
+    psnr: Range | None
+
+
+STEPS: dict[str, Step] = {}
+FRAMES_KNOWN = 3
+"""Of an encode, that tell what all of it will take."""
+_KNOWN, _BEGUN = Factor(1.0, 0.0), Factor(1.0, 0.12)
+_EIGHT_OF_TEN = 1.28
+"""Standard deviations of a normal distribution."""
+_SETTLING_FRAMES, _SETTLING = 20.0, 0.165
+_SETTLING_SPREAD = 0.09
+"""Later frames get cheaper, since what moves has been trained before: in five takes of 180 to 300 frames they had on
+average .48 to .84 of the bytes of the first two (.64), up to frame 20 .81 to .97 (.88)."""
+
+
+def forecasts(pilot: Pilot, frames: int) -> list[Forecast]:
+    """Of an encode of so many frames with each preset."""
+    return [_forecast(name, step, pilot, frames) for name, step in STEPS.items()]
+
+
+def _forecast(name: str, step: Step, pilot: Pilot, frames: int) -> Forecast:
+    key_cpu = pilot.points_cpu + step.key_cpu.mean * (pilot.key_cpu - pilot.points_cpu)
+    frame_cpu = pilot.frame_cpu + (step.frame_cpu.mean - 1) * pilot.training_cpu
+    psnr = None
+    if pilot.psnr is not None:
+        expected = pilot.psnr + step.gain.most - step.gain.slope * max(0.0, pilot.training_psnr - pilot.psnr)
+        psnr = Range(expected - _EIGHT_OF_TEN * step.gain.spread, expected + _EIGHT_OF_TEN * step.gain.spread)
+    return Forecast(
+        name,
+        _total(
+            pilot.key_bytes * step.key_bytes.mean,
+            step.key_bytes,
+            pilot.frame_bytes * step.frame_bytes.mean,
+            step.frame_bytes,
+            frames,
+        ),
+        _total(key_cpu, step.key_cpu, frame_cpu, step.frame_cpu, frames),
+        psnr,
+    )
+
+
+def _total(key: float, of_key: Factor, frame: float, of_frame: Factor, frames: int) -> Range:
+    """Of a keyframe and all later frames; errors of the two have nothing to do with each other."""
+    later = (frames - 1) * frame * settled(frames)
+    strayed = math.hypot(of_frame.spread, _SETTLING_SPREAD * math.log1p(frames / _SETTLING_FRAMES))
+    total = key + later
+    spread = math.hypot(key * of_key.spread, later * strayed) / total if total else 0.0
+    return Range(total * math.exp(-_EIGHT_OF_TEN * spread), total * math.exp(_EIGHT_OF_TEN * spread))
+
+
+def settled(frames: int) -> float:
+    """What later frames of so long a take have on average, in the first ones' figures."""
+    return math.exp(-_SETTLING * math.log1p(frames / _SETTLING_FRAMES))
+
+
+def table(pilot: Pilot, frames: int) -> Iterator[str]:
+    """The forecasts of all presets for the user."""
+    some = f"frames {pilot.frames.start} to {pilot.frames.stop - 1}"
+    without = "" if pilot.left_out is None else f" with {pilot.left_out} left out"
+    yield f"forecast of {frames} frames, by a short encode of {some}{without}; eight rigs of ten lay within:"
+    yield f"{'preset':<10} {'stream':<22} {'CPU-s':<16} dB of a camera that is left out".rstrip()
+    for each in forecasts(pilot, frames):
+        size = f"{size_text(round(each.total_bytes.low))} to {size_text(round(each.total_bytes.high))}"
+        cpu = f"{each.cpu_seconds.low:.0f} to {each.cpu_seconds.high:.0f}"
+        psnr = "-" if each.psnr is None else f"{each.psnr.low:.1f} to {each.psnr.high:.1f}"
+        yield f"{each.preset:<10} {size:<22} {cpu:<16} {psnr}"
+
+
+def document(pilot: Pilot, frames: int) -> dict[str, Any]:
+    """The same as plain JSON values."""
+    return {
+        "frames": frames,
+        "pilot": [pilot.frames.start, pilot.frames.stop],
+        "left_out": pilot.left_out,
+        "presets": [asdict(each) for each in forecasts(pilot, frames)],
+    }
+
+
+def whole_of(first: Sequence[FrameReport], frames: int) -> tuple[Range, Range]:
+    """Bytes and processor seconds of a whole encode of so many frames, the ``first`` of which are known."""
+    key, later = first[0], first[1:]
+    count = len(later)
+    return (
+        _total(key.bytes, _KNOWN, sum(each.bytes for each in later) / count, _BEGUN, frames),
+        _total(key.cpu_seconds, _KNOWN, sum(each.cpu_seconds for each in later) / count, _BEGUN, frames),
+    )
