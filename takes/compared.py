@@ -19,6 +19,9 @@ from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.system.callbacks import OnProgress
 
+from .holding import Holding, holding
+from .witness import Witnesses
+
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 _COVERED = 0.5
@@ -99,6 +102,21 @@ def pairs_of(
         return {
             (pair.camera, pair.frame): pair for pairs in found for pair in pairs if (pair.camera, pair.frame) in wanted
         }
+
+
+def holding_of(stream: Path, rig: Rig, compared: Compared, on_cell: OnProgress, threads: int = 0) -> Holding:
+    """Where the first frame holds, by the pictures of it that training saw and those that were left out."""
+    with open_stream(stream, max_memory=DEFAULT_MAX_MEMORY) as opened:
+        header, scene = opened.header, next(opened.frames())
+    cameras = {camera.name: camera for camera in header.cameras if camera.name in compared.cameras}
+    training = [name for name in cameras if name not in compared.held_out]
+    first = header.first_frame
+    ((_, pictures),) = read_frames(rig, first, first + 1, names=training)
+    witnesses = Witnesses(header, scene.splats, dict(zip(training, pictures, strict=True)), threads=threads)
+    measured = {
+        name: (cameras[name], float(compared.psnr[compared.cameras.index(name), 0])) for name in compared.held_out
+    }
+    return holding(witnesses, [cameras[name] for name in training], measured, on_cell)
 
 
 def _common(header: StreamHeader, rig: Rig) -> list[str]:

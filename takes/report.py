@@ -20,8 +20,9 @@ from decogs.formats.system.callbacks import OnProgress
 from decogs.rig.check.plan import document
 
 from .against import against
-from .compared import Compared, compare, pairs_of
+from .compared import Compared, compare, holding_of, pairs_of
 from .figures import error_table, in_text, pair_figure
+from .holding import parts
 from .records import file_digest
 from .spent import Spent
 
@@ -60,13 +61,14 @@ def report(
         dict.fromkeys((camera, frame) for _, camera, frame in [worst[0], ranked[len(ranked) // 2], ranked[-1]])
     )
     pairs = pairs_of(stream, rig, shown, threads)
-    parts = [
+    page = [
         _STYLE,
         f"<p>{escape(_in_short(facts, compared))}</p>",
         _loop(stream, facts, threads),
         _heard(facts),
         "<h2>Recorded beside shown</h2><p>The worst picture, the middle one and the best; errors in red.</p>",
         *(pair_figure(pairs[key]) for key in shown),
+        *parts(holding_of(stream, rig, compared, on_frame, threads), facts.header.cameras, compared.held_out),
         f"<h2>Errors</h2><p>{escape(_about_errors(compared))}</p>",
         error_table(compared),
         f"<h2>The worst {_WORST_SHARE:.0%}</h2><ul>",
@@ -80,7 +82,7 @@ def report(
         *(escape(line) for line in _facts(stream, facts)),
         "</pre>",
     ]
-    return document(title, parts)
+    return document(title, page)
 
 
 def _in_short(facts: StreamInfo, compared: Compared) -> str:

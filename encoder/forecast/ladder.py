@@ -23,11 +23,10 @@ class Factor:
 
 @dataclass(frozen=True)
 class Gain:
-    """dB more than the pilot's camera that was left out: ``most``, less ``slope`` for each dB by which training views
-    were better than it. ``spread``: standard deviation over rigs, dB."""
+    """dB more than the pilot's camera that was left out: up to ``most``, and the less the better training views were
+    than it, since what geometry does not know no training finds. ``spread``: dB."""
 
     most: float
-    slope: float
     spread: float
 
 
@@ -61,7 +60,16 @@ class Forecast:
     psnr: Range | None
 
 
-STEPS: dict[str, Step] = {}
+STEPS = {
+    "live": Step(Factor(1.0, 0.03), Factor(1.0, 0.08), Factor(1.0, 0.10), Factor(1.0, 0.10), Gain(0.0, 0.3)),
+    "draft": Step(Factor(1.39, 0.05), Factor(1.67, 0.10), Factor(1.37, 0.23), Factor(1.8, 0.30), Gain(2.4, 0.4)),
+    "standard": Step(Factor(1.92, 0.05), Factor(3.85, 0.13), Factor(1.9, 0.20), Factor(3.2, 0.35), Gain(3.9, 0.75)),
+    "high": Step(Factor(1.92, 0.05), Factor(3.85, 0.17), Factor(2.1, 0.22), Factor(6.3, 0.40), Gain(3.9, 0.75)),
+    "archive": Step(Factor(1.92, 0.05), Factor(3.85, 0.17), Factor(4.0, 0.22), Factor(10.0, 0.40), Gain(3.9, 0.75)),
+}
+"""Medians of rigs, and the 80th percentile of how far they are from them, as of a normal distribution."""
+_GAP_DB = 2.0
+"""By which training views are better than the left-out one, where a gain is a third of the most there is."""
 FRAMES_KNOWN = 3
 """Of an encode, that tell what all of it will take."""
 _KNOWN, _BEGUN = Factor(1.0, 0.0), Factor(1.0, 0.12)
@@ -83,7 +91,8 @@ def _forecast(name: str, step: Step, pilot: Pilot, frames: int) -> Forecast:
     frame_cpu = pilot.frame_cpu + (step.frame_cpu.mean - 1) * pilot.training_cpu
     psnr = None
     if pilot.psnr is not None:
-        expected = pilot.psnr + step.gain.most - step.gain.slope * max(0.0, pilot.training_psnr - pilot.psnr)
+        gap = max(0.0, pilot.training_psnr - pilot.psnr)
+        expected = pilot.psnr + step.gain.most * math.exp(-gap / _GAP_DB)
         psnr = Range(expected - _EIGHT_OF_TEN * step.gain.spread, expected + _EIGHT_OF_TEN * step.gain.spread)
     return Forecast(
         name,

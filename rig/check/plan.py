@@ -71,7 +71,7 @@ def plan(
     ``points`` (P, 3): what they see. Up is what most cameras hold up.
     """
     centres = np.array([camera_centre(camera) for camera in cameras])
-    axes = _axes(cameras, from_side)
+    axes = plan_axes(cameras, from_side=from_side)
     reach = _FAR * float(np.linalg.norm(np.ptp(centres, axis=0)))
     low, high = _box(centres @ axes.T, None if points is None else points @ axes.T, reach)
     scale = (_SIZE - 2 * _MARGIN) / max(float((high - low).max()), 1e-9)
@@ -115,7 +115,7 @@ def _box(centres: F64, points: F64 | None, reach: float) -> tuple[F64, F64]:
     return low, high
 
 
-def _axes(cameras: Sequence[Camera], from_side: bool) -> F64:
+def plan_axes(cameras: Sequence[Camera], *, from_side: bool = False) -> F64:
     """The world's directions (2, 3) to the right and down in a plan."""
     rotations = np.array([camera.world_to_camera[:3, :3] for camera in cameras])
     up = -rotations[:, 1].mean(axis=0)

@@ -51,7 +51,8 @@ def test_more_training_gains_where_training_views_are_not_far_better() -> None:
         return (of["standard"].low + of["standard"].high) / 2 - 28.0
 
     assert gain(28.5) > gain(31.0) + 0.5
-    assert gain(60.0) == gain(50.0)
+    assert 0 <= gain(60.0) < 0.01
+    assert gain(20.0) == gain(28.0)
     assert [each.psnr for each in forecasts(replace(PILOT, psnr=None), 10)] == [None] * len(LADDER)
 
 
@@ -78,7 +79,7 @@ def test_the_pilot_is_where_as_much_changes_as_on_average() -> None:
     assert change_shares(stats)[14:].tolist() == pytest.approx([0.25] * 6)
     found = pilots._typical_frames(stats)
     assert len(found) == LATER_FRAMES + 1
-    assert 5 + 10 <= found.start <= 5 + 14
+    assert 5 + 9 <= found.start <= 5 + 12
     few: Any = SimpleNamespace(pictures=(pictures[:2],), noise=np.zeros((1, 2)), frames=(5, 6), step=1)
     assert pilots._typical_frames(few) == range(5, 7)
 
