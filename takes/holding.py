@@ -20,7 +20,7 @@ from decogs.rig.check.plan import plan_axes
 from .witness import F64, Witnessed, Witnesses
 
 SPREAD = 2.5
-"""dB from what is expected within which eight of ten views lie, seven where fewer than two cameras were left out."""
+"""dB from what is expected within which three of four views lie."""
 _MORE, _ONE_SIDED, _SIDES = 3.2, 6.0, 0.5
 """dB of a view above its agreement with three cameras' pictures, which errors of depth make worse, and less for what
 cameras on one side are beyond a half."""
@@ -28,7 +28,6 @@ _LEAST_SEEN = 0.25
 """Of a view, below which nobody can say anything of it."""
 _PRIOR = 1.0
 """Left-out cameras, whose mean counts as much as what other rigs say."""
-_KNOWN_BY = 2
 _FENCE_DB, _MARGIN_DB = 2.5, 1.0
 """So far below what is usual among the cameras' own places a view is still good; it must be by this much to count."""
 _NEAREST_SHARE, _FARTHEST_SHARE = 0.6, 1.4
@@ -55,7 +54,7 @@ class Holding:
     """``cells`` by row and column of the map, whose corners are ``low`` and ``high`` along its ``axes`` (2, 3).
 
     ``usual``: dB to be expected at the cameras' own places if they had not been there; ``least``: of a good view;
-    ``own``: what is expected at each camera's place, by its name. ``left_out``: cameras that it was measured on.
+    ``own``: what is expected at each camera's place, by its name.
     """
 
     cells: tuple[tuple[Expected, ...], ...]
@@ -65,7 +64,6 @@ class Holding:
     usual: float
     least: float
     own: dict[str, float | None]
-    left_out: int
 
     @property
     def share_within(self) -> float:
@@ -116,7 +114,7 @@ def holding(
             line.append(Expected(psnr, is_measured and psnr is not None and psnr >= least + _MARGIN_DB))
             on_cell(row * columns + column + 1, rows * columns)
         cells.append(tuple(line))
-    return Holding(tuple(cells), axes, low, high, usual, least, own, len(missed))
+    return Holding(tuple(cells), axes, low, high, usual, least, own)
 
 
 class _Stands:
@@ -199,9 +197,8 @@ def parts(holding: Holding, cameras: Sequence[Camera], held_out: Sequence[str]) 
     known = [cell.psnr for row in holding.cells for cell in row if cell.psnr is not None]
     told = "No camera sees what another one does: nothing can be said of other places."
     if known and np.isfinite(holding.usual):
-        share = "eight" if holding.left_out >= _KNOWN_BY else "seven"
         told = (
-            f"Expected at the cameras' own places, had they not been there: {holding.usual:.1f} dB; {share} of ten "
+            f"Expected at the cameras' own places, had they not been there: {holding.usual:.1f} dB; three of four "
             f"views lie within {SPREAD:g} dB of what is expected. Strong colours are within the fence: at least "
             f"{holding.least + _MARGIN_DB:.1f} dB, as far from the scene as cameras stood; {holding.share_within:.0%} "
             "of the map. Grey: no camera bears witness."

@@ -65,7 +65,7 @@ STEPS = {
     "draft": Step(Factor(1.39, 0.05), Factor(1.67, 0.10), Factor(1.37, 0.23), Factor(1.8, 0.30), Gain(2.4, 0.4)),
     "standard": Step(Factor(1.92, 0.05), Factor(3.85, 0.13), Factor(1.9, 0.20), Factor(3.2, 0.35), Gain(3.9, 0.75)),
     "high": Step(Factor(1.92, 0.05), Factor(3.85, 0.17), Factor(2.1, 0.22), Factor(6.3, 0.40), Gain(3.9, 0.75)),
-    "archive": Step(Factor(1.92, 0.05), Factor(3.85, 0.17), Factor(4.0, 0.22), Factor(10.0, 0.40), Gain(3.9, 0.75)),
+    "archive": Step(Factor(2.08, 0.05), Factor(3.9, 0.17), Factor(3.24, 0.40), Factor(9.0, 0.50), Gain(3.9, 0.8)),
 }
 """Medians of rigs, and the 80th percentile of how far they are from them, as of a normal distribution."""
 _GAP_DB = 2.0
