@@ -61,7 +61,7 @@ def _command(module: str, main: str) -> Callable[[], int]:
     return lambda: _run(f"decogs.{module}", main)
 
 
-analyze = _command("encoder.analysis.commands", "analyze_main")
+analyze = _command("encoder.analyze_command", "analyze_main")
 bench = _command("bench.commands", "bench_main")
 calibrate = _command("rig.calibration.commands", "calibrate_main")
 decode = _command("decoder.commands", "decode_main")

@@ -23,7 +23,7 @@ from decogs.decoder.commands import decode_parser, export_parser, info_parser, v
 from decogs.decoder.editing.commands import edit_parser
 from decogs.decoder.editing.operations import OPERATIONS
 from decogs.encoder import PRESETS
-from decogs.encoder.analysis.commands import analyze_parser
+from decogs.encoder.analyze_command import analyze_parser
 from decogs.encoder.commands import encode_parser
 from decogs.encoder.packing.commands import pack_parser
 from decogs.encoder.parts.commands import join_parser

@@ -11,7 +11,7 @@ from decogs.formats.cli.option_tables import words_of
 from decogs.formats.errors import UsageError
 
 _PARSERS = {
-    "decogs-analyze": "encoder.analysis.commands:analyze_parser",
+    "decogs-analyze": "encoder.analyze_command:analyze_parser",
     "decogs-calibrate": "rig.calibration.commands:calibrate_parser",
     "decogs-decode": "decoder.commands:decode_parser",
     "decogs-edit": "decoder.editing.commands:edit_parser",

@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from decogs.formats.cli.command_line import size_text
 
-from ..output.reports import FrameReport
+from ..output.whole import EIGHT_OF_TEN, Factor, Range, total_of
 from .pilot import Pilot
-
-
-@dataclass(frozen=True)
-class Factor:
-    """How many times the pilot's figure: the geometric mean over rigs, and how its logarithm strays."""
-
-    mean: float
-    spread: float
 
 
 @dataclass(frozen=True)
@@ -43,14 +35,6 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Range:
-    """Where eight of ten rigs were."""
-
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
 class Forecast:
     """Of a whole encode: bytes, processor seconds, and dB of a camera that is left out, None where unknown."""
 
@@ -70,15 +54,6 @@ STEPS = {
 """Medians of rigs, and the 80th percentile of how far they are from them, as of a normal distribution."""
 _GAP_DB = 2.0
 """By which training views are better than the left-out one, where a gain is a third of the most there is."""
-FRAMES_KNOWN = 3
-"""Of an encode, that tell what all of it will take."""
-_KNOWN, _BEGUN = Factor(1.0, 0.0), Factor(1.0, 0.12)
-_EIGHT_OF_TEN = 1.28
-"""Standard deviations of a normal distribution."""
-_SETTLING_FRAMES, _SETTLING = 20.0, 0.165
-_SETTLING_SPREAD = 0.09
-"""Later frames get cheaper, since what moves has been trained before: in five takes of 180 to 300 frames they had on
-average .48 to .84 of the bytes of the first two (.64), up to frame 20 .81 to .97 (.88)."""
 
 
 def forecasts(pilot: Pilot, frames: int) -> list[Forecast]:
@@ -93,33 +68,19 @@ def _forecast(name: str, step: Step, pilot: Pilot, frames: int) -> Forecast:
     if pilot.psnr is not None:
         gap = max(0.0, pilot.training_psnr - pilot.psnr)
         expected = pilot.psnr + step.gain.most * math.exp(-gap / _GAP_DB)
-        psnr = Range(expected - _EIGHT_OF_TEN * step.gain.spread, expected + _EIGHT_OF_TEN * step.gain.spread)
+        psnr = Range(expected - EIGHT_OF_TEN * step.gain.spread, expected + EIGHT_OF_TEN * step.gain.spread)
     return Forecast(
         name,
-        _total(
+        total_of(
             pilot.key_bytes * step.key_bytes.mean,
             step.key_bytes,
             pilot.frame_bytes * step.frame_bytes.mean,
             step.frame_bytes,
             frames,
         ),
-        _total(key_cpu, step.key_cpu, frame_cpu, step.frame_cpu, frames),
+        total_of(key_cpu, step.key_cpu, frame_cpu, step.frame_cpu, frames),
         psnr,
     )
-
-
-def _total(key: float, of_key: Factor, frame: float, of_frame: Factor, frames: int) -> Range:
-    """Of a keyframe and all later frames; errors of the two have nothing to do with each other."""
-    later = (frames - 1) * frame * settled(frames)
-    strayed = math.hypot(of_frame.spread, _SETTLING_SPREAD * math.log1p(frames / _SETTLING_FRAMES))
-    total = key + later
-    spread = math.hypot(key * of_key.spread, later * strayed) / total if total else 0.0
-    return Range(total * math.exp(-_EIGHT_OF_TEN * spread), total * math.exp(_EIGHT_OF_TEN * spread))
-
-
-def settled(frames: int) -> float:
-    """What later frames of so long a take have on average, in the first ones' figures."""
-    return math.exp(-_SETTLING * math.log1p(frames / _SETTLING_FRAMES))
 
 
 def table(pilot: Pilot, frames: int) -> Iterator[str]:
@@ -143,13 +104,3 @@ def document(pilot: Pilot, frames: int) -> dict[str, Any]:
         "left_out": pilot.left_out,
         "presets": [asdict(each) for each in forecasts(pilot, frames)],
     }
-
-
-def whole_of(first: Sequence[FrameReport], frames: int) -> tuple[Range, Range]:
-    """Bytes and processor seconds of a whole encode of so many frames, the ``first`` of which are known."""
-    key, later = first[0], first[1:]
-    count = len(later)
-    return (
-        _total(key.bytes, _KNOWN, sum(each.bytes for each in later) / count, _BEGUN, frames),
-        _total(key.cpu_seconds, _KNOWN, sum(each.cpu_seconds for each in later) / count, _BEGUN, frames),
-    )

@@ -9,9 +9,9 @@ from typing import Any, TextIO
 from decogs.formats.cli.command_line import size_text
 from decogs.formats.cli.progress import Pace, Progress, open_progress
 
-from ..forecast.ladder import FRAMES_KNOWN, whole_of
 from .observer import EncodeObserver
 from .reports import FrameReport
+from .whole import FRAMES_KNOWN, whole_of
 
 _LEAST_FRAMES = 20
 """Of an encode that is foretold."""

@@ -25,7 +25,7 @@ from decogs.decoder.editing.commands import edit_main
 from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
-from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.analyze_command import analyze_main
 from decogs.encoder.commands import encode_main
 from decogs.encoder.packing.commands import pack_main
 from decogs.encoder.parts.commands import join_main

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.analyze_command import analyze_main
 from decogs.encoder.forecast import pilot as pilots
-from decogs.encoder.forecast.ladder import FRAMES_KNOWN, STEPS, forecasts, settled, whole_of
+from decogs.encoder.forecast.ladder import STEPS, forecasts
 from decogs.encoder.forecast.pilot import LATER_FRAMES, Pilot, change_shares, pilot_of
 from decogs.encoder.output.progress import TerminalProgress
+from decogs.encoder.output.whole import FRAMES_KNOWN, settled, whole_of
 from decogs.encoder.settings.presets import LADDER
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import UsageError

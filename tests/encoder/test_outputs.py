@@ -19,7 +19,7 @@ import pytest
 import decogs.encoder.output.stream_output as stream_output
 from decogs.codec.header.header import StreamHeader
 from decogs.encoder import EncodeReport
-from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.analyze_command import analyze_main
 from decogs.encoder.output.observer import EncodeObserver
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.files.outputs import GrowingFile

@@ -12,7 +12,7 @@ import pytest
 from decogs.encoder.analysis import EFFECTS
 from decogs.encoder.analysis.analyse import analyse
 from decogs.encoder.analysis.building import SHOWN
-from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.analyze_command import analyze_main
 
 
 def told(document: dict[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import pytest
 
 from decogs.encoder import EncodeJob, encode
 from decogs.encoder.analysis.analyse import Analysis, analyse
-from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.analyze_command import analyze_main
 from decogs.formats.cameras import Camera
 from decogs.formats.colours.srgb import linear_from_srgb
 from decogs.formats.errors import RigError, UsageError

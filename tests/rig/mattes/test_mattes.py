@@ -14,7 +14,7 @@ import OpenEXR
 import pytest
 
 from decogs.encoder import MatteChoice
-from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.analyze_command import analyze_main
 from decogs.encoder.commands import encode_main
 from decogs.formats.errors import DecogsError, RigError, UsageError
 from decogs.formats.rigs import open_rig

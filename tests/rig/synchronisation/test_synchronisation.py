@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.analyze_command import analyze_main
 from decogs.formats.cameras import Camera, project
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_recordings, open_rig

@@ -83,12 +83,12 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     from decogs.rig.mattes import files_of_mattes, open_mattes
     from decogs.rig.pictures.ingest import Ingest, frame_span
 
-    from ..forecast.ladder import document as document_of
-    from ..forecast.ladder import table
-    from ..forecast.pilot import run_pilot
-    from ..job.job import EncodeJob
-    from ..output.progress import TerminalProgress
-    from .analyse import analyse
+    from .analysis.analyse import analyse
+    from .forecast.ladder import document as document_of
+    from .forecast.ladder import table
+    from .forecast.pilot import run_pilot
+    from .job.job import EncodeJob
+    from .output.progress import TerminalProgress
 
     rig = without_cameras(rig_in_step(options), options.exclude)
     for warning in rig.warnings:
@@ -147,7 +147,7 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     elif to_file:
         _write("--json", Path(options.json), document)
     if page is not None:
-        from .page import page_of
+        from .analysis.page import page_of
 
         _write("--output", page, page_of(analysis))
 
