@@ -32,6 +32,8 @@ _FENCE_DB, _MARGIN_DB = 2.5, 1.0
 """So far below what is usual among the cameras' own places a view is still good; it must be by this much to count."""
 _NEAREST_SHARE, _FARTHEST_SHARE = 0.6, 1.4
 """Of the nearest cameras' distance from what they see: nearer and farther, nothing was measured."""
+_AMONG = 0.15
+"""Of that distance, by which a place among the cameras may be nearer or farther."""
 _CELLS = 16
 """Along the longer side of the map."""
 _AROUND = 0.15
@@ -43,10 +45,14 @@ _SIZE = 560
 
 @dataclass(frozen=True)
 class Expected:
-    """Of a view: ``psnr`` in dB, None where no camera bears witness; ``is_within``: the fence admits it."""
+    """Of a view: ``psnr`` in dB, None where no camera bears witness; ``is_within``: the fence admits it.
+
+    ``between``: the two cameras next to it, where it stands among them.
+    """
 
     psnr: float | None
     is_within: bool
+    between: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +70,12 @@ class Holding:
     usual: float
     least: float
     own: dict[str, float | None]
+
+    @property
+    def weakest(self) -> Expected | None:
+        """The least that is expected as far from the scene as cameras are: where one more would bring most."""
+        reached = [cell for row in self.cells for cell in row if cell.between is not None]
+        return min(reached, key=lambda cell: -np.inf if cell.psnr is None else cell.psnr, default=None)
 
     @property
     def share_within(self) -> float:
@@ -109,9 +121,11 @@ def holding(
         line = []
         for column in range(columns):
             at = low + (high - low) * (np.array([column, row]) + 0.5) / (columns, rows)
-            view, is_measured = stands.view(at)
+            view, distance = stands.view(at)
+            is_measured = _NEAREST_SHARE <= distance <= _FARTHEST_SHARE
             psnr = None if view is None else expected_of(view)
-            line.append(Expected(psnr, is_measured and psnr is not None and psnr >= least + _MARGIN_DB))
+            is_within = is_measured and psnr is not None and psnr >= least + _MARGIN_DB
+            line.append(Expected(psnr, is_within, stands.between(at) if abs(distance - 1) <= _AMONG else None))
             on_cell(row * columns + column + 1, rows * columns)
         cells.append(tuple(line))
     return Holding(tuple(cells), axes, low, high, usual, least, own)
@@ -121,7 +135,8 @@ class _Stands:
     """Viewers on a plan: at the height of the nearest cameras, looking where these look."""
 
     def __init__(self, cameras: Sequence[Camera], witnesses: Witnesses, axes: F64) -> None:
-        self._axes, self._up = axes, np.cross(axes[1], axes[0])
+        self._axes, self._up = axes, np.cross(axes[0], axes[1])
+        self._names = [camera.name for camera in cameras]
         self._centres = np.array([camera_centre(camera) for camera in cameras])
         self._on_plan = self._centres @ axes.T
         ways = np.array([camera.world_to_camera[2, :3] for camera in cameras])
@@ -130,8 +145,14 @@ class _Stands:
         wide = max(cameras, key=lambda camera: camera.width / camera.fx)
         self._lens = replace(as_pinhole(wide), name="")
 
-    def view(self, at: F64) -> tuple[Camera | None, bool]:
-        """Who stands at a place of the plan, None where there is nowhere to look; whether as far as cameras do."""
+    def between(self, at: F64) -> tuple[str, str] | None:
+        """The two cameras nearest to a place of the plan; None of a single one."""
+        nearest = np.argsort(np.linalg.norm(self._on_plan - at, axis=1), kind="stable")[:2]
+        names = sorted(self._names[row] for row in nearest)
+        return (names[0], names[1]) if len(names) > 1 else None
+
+    def view(self, at: F64) -> tuple[Camera | None, float]:
+        """Who stands at a place of the plan, None where there is nowhere to look; how far away, cameras being at 1."""
         gaps = np.linalg.norm(self._on_plan - at, axis=1)
         near = np.argsort(gaps, kind="stable")[:_NEAREST]
         weights = 1 / (gaps[near] + 1e-6 * (1 + gaps.max()))
@@ -141,10 +162,9 @@ class _Stands:
         distance = float(np.linalg.norm(target - place))
         usual = float(weights @ np.linalg.norm(self._targets[near] - self._centres[near], axis=1))
         if distance < 1e-3 * usual:
-            return None, False
-        # What lies beside the cameras' own way is no view of theirs.
+            return None, 0.0
         camera = replace(self._lens, world_to_camera=looking(place, target, self._up))
-        return camera, _NEAREST_SHARE * usual <= distance <= _FARTHEST_SHARE * usual
+        return camera, distance / usual
 
 
 def _grid(cameras: Sequence[Camera], axes: F64) -> tuple[F64, F64, int, int]:
@@ -205,4 +225,7 @@ def parts(holding: Holding, cameras: Sequence[Camera], held_out: Sequence[str]) 
         )
     few = len(cameras) - len(held_out)
     first = f"{few} cameras see little of each other's places: keep near them. " if few <= FEW_CAMERAS else ""
+    if (weakest := holding.weakest) is not None and weakest.between is not None:
+        there = "nothing is known there" if weakest.psnr is None else f"{weakest.psnr:.1f} dB are expected there"
+        told += f" One more camera would bring most between {' and '.join(weakest.between)}: {there}."
     return ["<h2>Where it holds</h2>", f"<p>{escape(first + told)}</p>", drawn(holding, cameras, held_out)]

@@ -11,9 +11,10 @@ from decogs.codec.header.header import StreamHeader
 from decogs.codec.scene.lattice import default_lattice
 from decogs.decoder.cameras.moves import looking
 from decogs.decoder.rendering.views import render_view
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.splats import Splats
-from decogs.takes.holding import Expected, drawn, expected_psnr, holding, parts
+from decogs.rig.check.plan import plan_axes
+from decogs.takes.holding import Expected, _Stands, drawn, expected_psnr, holding, parts
 from decogs.takes.witness import Witnessed, Witnesses
 from moving_walls import wall
 
@@ -108,6 +109,25 @@ def test_the_map_and_its_fence() -> None:
     assert [cell.is_within for row in lower.cells for cell in row] == [cell.is_within for cell in cells]
 
 
+def test_viewers_stand_upright_among_the_cameras() -> None:
+    """Between two cameras, as high as these, looking where they do."""
+    scene = wall()
+    axes = plan_axes(CAMERAS)
+    stands = _Stands(CAMERAS, Witnesses(HEADER, scene, recorded(scene)), axes)
+    middle = (camera_centre(CAMERAS[1]) + camera_centre(CAMERAS[2])) / 2
+    view, distance = stands.view(middle @ axes.T)
+    assert view is not None
+    assert distance == pytest.approx(1, abs=0.1)
+    np.testing.assert_allclose(camera_centre(view), middle, atol=0.05)
+    assert -view.world_to_camera[1, :3] @ UP > 0.99
+    ways = [each.world_to_camera[2, :3] for each in (CAMERAS[1], CAMERAS[2], view)]
+    assert (ways[0] + ways[1]) @ ways[2] > 1.95
+    near, far = (stands.view((TARGET - distance * np.array([0.0, 0.0, 1.0])) @ axes.T)[1] for distance in (1.5, 7.0))
+    assert near == pytest.approx(1.5 / 4, abs=0.1)
+    assert far == pytest.approx(7 / 4, abs=0.2)
+    assert stands.between(middle @ axes.T) == ("cam1", "cam2")
+
+
 def test_the_map_is_drawn() -> None:
     scene = wall()
     found = holding(Witnesses(HEADER, scene, recorded(scene)), CAMERAS, {}, lambda done, of: None)
@@ -117,6 +137,12 @@ def test_the_map_is_drawn() -> None:
     assert "30.0 dB, within the fence" in drawing
     assert "<title>unknown</title>" in drawing
     assert drawing.count("<circle") == COUNT
+    weak = Expected(21.0, False, ("cam1", "cam3"))
+    _, told, _ = parts(replace(known, cells=((*known.cells[0], weak),)), CAMERAS, [])
+    assert "One more camera would bring most between cam1 and cam3: 21.0 dB are expected there." in told
+    nothing = Expected(None, False, ("cam0", "cam1"))
+    _, told, _ = parts(replace(known, cells=((weak, nothing),)), CAMERAS, [])
+    assert "between cam0 and cam1: nothing is known there." in told
     heading, told, _ = parts(found, CAMERAS, [])
     assert heading == "<h2>Where it holds</h2>"
     assert told.startswith("<p>5 cameras see little of each other")
