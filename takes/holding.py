@@ -6,9 +6,11 @@ A viewer stands at the height of the nearest cameras and looks where these look.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from typing import Any
 
 import numpy as np
 
@@ -228,4 +230,26 @@ def parts(holding: Holding, cameras: Sequence[Camera], held_out: Sequence[str]) 
     if (weakest := holding.weakest) is not None and weakest.between is not None:
         there = "nothing is known there" if weakest.psnr is None else f"{weakest.psnr:.1f} dB are expected there"
         told += f" One more camera would bring most between {' and '.join(weakest.between)}: {there}."
-    return ["<h2>Where it holds</h2>", f"<p>{escape(first + told)}</p>", drawn(holding, cameras, held_out)]
+    data = json.dumps(document(holding))
+    return [
+        "<h2>Where it holds</h2>",
+        f"<p>{escape(first + told)}</p>",
+        drawn(holding, cameras, held_out),
+        f"<script type='application/json' id='where-it-holds'>{data}</script>",
+    ]
+
+
+def document(holding: Holding) -> dict[str, Any]:
+    """The map for programs, as plain JSON values.
+
+    A place p of the stream's world has on the plan the coordinates ``axes`` p, two of them, and lies in the cell of
+    column and row floor((coordinate - low) / (high - low) * (columns, rows)). ``psnr`` and ``within`` are rows of
+    cells.
+    """
+    return {
+        "axes": [[round(float(value), 6) for value in axis] for axis in holding.axes],
+        "low": [round(float(value), 6) for value in holding.low],
+        "high": [round(float(value), 6) for value in holding.high],
+        "psnr": [[None if cell.psnr is None else round(cell.psnr, 1) for cell in row] for row in holding.cells],
+        "within": [[cell.is_within for cell in row] for row in holding.cells],
+    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -138,12 +139,19 @@ def test_the_map_is_drawn() -> None:
     assert "<title>unknown</title>" in drawing
     assert drawing.count("<circle") == COUNT
     weak = Expected(21.0, False, ("cam1", "cam3"))
-    _, told, _ = parts(replace(known, cells=((*known.cells[0], weak),)), CAMERAS, [])
+    _, told, *_ = parts(replace(known, cells=((*known.cells[0], weak),)), CAMERAS, [])
     assert "One more camera would bring most between cam1 and cam3: 21.0 dB are expected there." in told
     nothing = Expected(None, False, ("cam0", "cam1"))
-    _, told, _ = parts(replace(known, cells=((weak, nothing),)), CAMERAS, [])
+    _, told, *_ = parts(replace(known, cells=((weak, nothing),)), CAMERAS, [])
     assert "between cam0 and cam1: nothing is known there." in told
-    heading, told, _ = parts(found, CAMERAS, [])
+    heading, told, _, data = parts(found, CAMERAS, [])
     assert heading == "<h2>Where it holds</h2>"
+    read = json.loads(data.partition(">")[2].removesuffix("</script>"))
+    rows, columns = len(read["within"]), len(read["within"][0])
+    at = np.array(read["axes"]) @ camera_centre(CAMERAS[2])
+    low, high = np.array(read["low"]), np.array(read["high"])
+    column, row = ((at - low) / (high - low) * (columns, rows)).astype(int)
+    assert read["within"][row][column]
+    assert read["psnr"][row][column] > found.own["cam2"], "the camera does stand there"
     assert told.startswith("<p>5 cameras see little of each other")
     assert f"{found.usual:.1f} dB" in told
