@@ -104,7 +104,7 @@ def pairs_of(
         }
 
 
-def holding_of(stream: Path, rig: Rig, compared: Compared, on_cell: OnProgress, threads: int = 0) -> Holding:
+def holding_of(stream: Path, rig: Rig, compared: Compared, threads: int = 0) -> Holding:
     """Where the first frame holds, by the pictures of it that training saw and those that were left out."""
     with open_stream(stream, max_memory=DEFAULT_MAX_MEMORY) as opened:
         header, scene = opened.header, next(opened.frames())
@@ -116,7 +116,7 @@ def holding_of(stream: Path, rig: Rig, compared: Compared, on_cell: OnProgress, 
     measured = {
         name: (cameras[name], float(compared.psnr[compared.cameras.index(name), 0])) for name in compared.held_out
     }
-    return holding(witnesses, [cameras[name] for name in training], measured, on_cell)
+    return holding(witnesses, [cameras[name] for name in training], measured)
 
 
 def _common(header: StreamHeader, rig: Rig) -> list[str]:

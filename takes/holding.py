@@ -16,7 +16,6 @@ import numpy as np
 
 from decogs.decoder.cameras.moves import looking
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre
-from decogs.formats.system.callbacks import OnProgress
 from decogs.rig.check.plan import plan_axes
 
 from .witness import F64, Witnessed, Witnesses
@@ -92,9 +91,7 @@ def expected_psnr(testimony: Witnessed) -> float | None:
     return testimony.agreement + _MORE - _ONE_SIDED * max(0.0, testimony.one_sided - _SIDES)
 
 
-def holding(
-    witnesses: Witnesses, cameras: Sequence[Camera], left_out: Mapping[str, tuple[Camera, float]], on_cell: OnProgress
-) -> Holding:
+def holding(witnesses: Witnesses, cameras: Sequence[Camera], left_out: Mapping[str, tuple[Camera, float]]) -> Holding:
     """The map of a frame whose training ``cameras`` bear witness. Takes some 20 ms a cell.
 
     ``left_out``: cameras that training did not see, and the dB that they measured: by so much more or less than
@@ -128,7 +125,6 @@ def holding(
             psnr = None if view is None else expected_of(view)
             is_within = is_measured and psnr is not None and psnr >= least + _MARGIN_DB
             line.append(Expected(psnr, is_within, stands.between(at) if abs(distance - 1) <= _AMONG else None))
-            on_cell(row * columns + column + 1, rows * columns)
         cells.append(tuple(line))
     return Holding(tuple(cells), axes, low, high, usual, least, own)
 

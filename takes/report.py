@@ -68,7 +68,7 @@ def report(
         _heard(facts),
         "<h2>Recorded beside shown</h2><p>The worst picture, the middle one and the best; errors in red.</p>",
         *(pair_figure(pairs[key]) for key in shown),
-        *parts(holding_of(stream, rig, compared, on_frame, threads), facts.header.cameras, compared.held_out),
+        *parts(holding_of(stream, rig, compared, threads), facts.header.cameras, compared.held_out),
         f"<h2>Errors</h2><p>{escape(_about_errors(compared))}</p>",
         error_table(compared),
         f"<h2>The worst {_WORST_SHARE:.0%}</h2><ul>",
