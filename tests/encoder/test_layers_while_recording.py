@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import shutil
-import signal
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -170,7 +169,7 @@ def test_the_command_measures_what_it_recorded(
     def interrupted(self: Any, packet: Any) -> None:
         add(self, packet)
         if packet.frame == 1:
-            signal.raise_signal(signal.SIGINT)
+            raise KeyboardInterrupt
 
     add = recording._Recording.add
     monkeypatch.setattr(recording._Recording, "add", interrupted)
