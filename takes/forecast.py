@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .child import run_command
-from .options import takes
+from .options import has_option
 from .take_file import Take
 
 _COMMAND = "decogs-analyze"
@@ -16,7 +16,7 @@ def forecast(take: Take, *, shown: bool) -> list[str]:
     rig = step.inputs[0]
     if not (take.folder / rig).exists():
         return [f"no forecast: {rig} is made first"]
-    words = [word for word in step.words if takes(_COMMAND, word.partition("=")[0])]
+    words = [word for word in step.words if has_option(_COMMAND, word.partition("=")[0])]
     line = [_COMMAND, rig, "--forecast", *words]
     ran = run_command([*line, *([] if shown else ["-q"])], take.folder, shown=shown)
     if ran.code:

@@ -29,8 +29,9 @@ _LEAST_SEEN = 0.25
 """Of a view, below which nobody can say anything of it."""
 _PRIOR = 1.0
 """Left-out cameras, whose mean counts as much as what other rigs say."""
-_FENCE_DB, _MARGIN_DB = 2.5, 1.0
-"""So far below what is usual among the cameras' own places a view is still good; it must be by this much to count."""
+_FENCE_DB = 1.5
+"""So far below what is usual among the cameras' own places the fence still admits a view: 2.5 dB would be good, a
+dB is for errors."""
 _NEAREST_SHARE, _FARTHEST_SHARE = 0.6, 1.4
 """Of the nearest cameras' distance from what they see: nearer and farther, nothing was measured."""
 _AMONG = 0.15
@@ -60,8 +61,8 @@ class Expected:
 class Holding:
     """``cells`` by row and column of the map, whose corners are ``low`` and ``high`` along its ``axes`` (2, 3).
 
-    ``usual``: dB to be expected at the cameras' own places if they had not been there; ``least``: of a good view;
-    ``own``: what is expected at each camera's place, by its name.
+    ``usual``: dB to be expected at the cameras' own places if they had not been there; ``least``: that the fence
+    admits; ``own``: what is expected at each camera's place, by its name.
     """
 
     cells: tuple[tuple[Expected, ...], ...]
@@ -123,7 +124,7 @@ def holding(witnesses: Witnesses, cameras: Sequence[Camera], left_out: Mapping[s
             view, distance = stands.view(at)
             is_measured = _NEAREST_SHARE <= distance <= _FARTHEST_SHARE
             psnr = None if view is None else expected_of(view)
-            is_within = is_measured and psnr is not None and psnr >= least + _MARGIN_DB
+            is_within = is_measured and psnr is not None and psnr >= least
             line.append(Expected(psnr, is_within, stands.between(at) if abs(distance - 1) <= _AMONG else None))
         cells.append(tuple(line))
     return Holding(tuple(cells), axes, low, high, usual, least, own)
@@ -218,7 +219,7 @@ def parts(holding: Holding, cameras: Sequence[Camera], held_out: Sequence[str]) 
         told = (
             f"Expected at the cameras' own places, had they not been there: {holding.usual:.1f} dB; three of four "
             f"views lie within {SPREAD:g} dB of what is expected. Strong colours are within the fence: at least "
-            f"{holding.least + _MARGIN_DB:.1f} dB, as far from the scene as cameras stood; {holding.share_within:.0%} "
+            f"{holding.least:.1f} dB, as far from the scene as cameras stood; {holding.share_within:.0%} "
             "of the map. Grey: no camera bears witness."
         )
     few = len(cameras) - len(held_out)

@@ -15,7 +15,7 @@ from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import files_of, open_rig
 
 from .child import run_command
-from .options import takes
+from .options import has_option
 from .records import Made, Records, foreign_file
 from .steps import Step
 from .take_file import Take
@@ -163,7 +163,8 @@ class Making:
     def _told_threads(self, step: Step) -> list[str]:
         """What a step is told of threads: results do not depend on them, so that it is none of its own words."""
         says = any(word.startswith(_THREADS) for word in step.words)
-        return [f"{_THREADS}={self._threads}"] if self._threads and not says and takes(step.command, _THREADS) else []
+        is_told = self._threads and not says and has_option(step.command, _THREADS)
+        return [f"{_THREADS}={self._threads}"] if is_told else []
 
     def _finish_move(self, step: Step) -> None:
         """Puts what a step has made in its place, where that is not done."""

@@ -42,7 +42,7 @@ def check(command: str, words: list[str], where: str) -> None:
     parser.parse_args(words)
 
 
-def takes(command: str, option: str) -> bool:
+def has_option(command: str, option: str) -> bool:
     """Whether the command has this option."""
     return any(option in action.option_strings for action in _parser(command)._actions)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -15,9 +14,9 @@ from decogs.codec.scene.state import Rows, changed_between, same_scene
 from decogs.decoder.editing.layers import LayerWriter
 from decogs.decoder.editing.operations.layer import SHARE
 from decogs.decoder.editing.take import Frame
-from decogs.formats.stream.container import FRAME_KINDS, LAYERED_VERSION, Packet, PacketKind, StreamWriter
+from decogs.formats.stream.container import FRAME_KINDS, LAYERED_VERSION, Packet, PacketKind
 
-from ..output.stream_output import StreamOutput
+from ..output.stream_output import StreamOutput, WrappedOutput
 from ..training.method import MAX_GROWTH
 from .rounds import Footage, Round, RoundMaker
 
@@ -26,7 +25,7 @@ _MOMENT_FRAMES = 15
 """Scenes that a round is trained on are so far apart: with the newest alone the base lost a dB until the next round."""
 
 
-class LayeredOutput(StreamOutput):
+class LayeredOutput(WrappedOutput):
     """Writes a stream's packets in two layers into ``inner``; all together give the very Gaussians of each frame.
 
     The base is chosen and trained at the first frame, and anew every 60 frames from scenes of the 60 before: training
@@ -35,22 +34,10 @@ class LayeredOutput(StreamOutput):
     """
 
     def __init__(self, inner: StreamOutput, threads: int = 0) -> None:
-        super().__init__()
-        self._inner, self._threads = inner, threads
+        super().__init__(inner)
+        self._threads = threads
         self._header: StreamHeader | None = None
         self._recording: _Recording | None = None
-
-    @property
-    def name(self) -> Path:
-        return self._inner.name
-
-    @property
-    def is_open(self) -> bool:
-        return self._inner.is_open
-
-    @property
-    def growing(self) -> Path | None:
-        return self._inner.growing
 
     def begin(self, header: bytes, version: tuple[int, int] = LAYERED_VERSION) -> None:
         self._header = StreamHeader.from_bytes(header)
@@ -67,22 +54,10 @@ class LayeredOutput(StreamOutput):
             self._recording.add(packet)
         return self.open().bytes_written - before
 
-    def open(self) -> StreamWriter:
-        return self._inner.open()
-
-    def cut(self, frames: int) -> bool:
-        return self._inner.cut(frames)
-
     def close(self, frames: int) -> None:
         if self._recording is not None and frames and self.cut(frames):
             self._recording.finish(frames)
         self._inner.close(frames)
-
-    def publish(self) -> int:
-        return self._inner.publish()
-
-    def release(self) -> None:
-        self._inner.release()
 
 
 class _Recording:

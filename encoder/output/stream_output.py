@@ -85,6 +85,47 @@ class StreamOutput(ABC):
         """Lets go of the file, published or not."""
 
 
+class WrappedOutput(StreamOutput):
+    """Does as ``inner`` does; a subclass changes what is written into it."""
+
+    def __init__(self, inner: StreamOutput) -> None:
+        super().__init__()
+        self._inner = inner
+
+    @property
+    def name(self) -> Path:
+        return self._inner.name
+
+    @property
+    def is_open(self) -> bool:
+        return self._inner.is_open
+
+    @property
+    def growing(self) -> Path | None:
+        return self._inner.growing
+
+    def begin(self, header: bytes, version: tuple[int, int] = VERSION) -> None:
+        self._inner.begin(header, version)
+
+    def write(self, kind: int, frame: int, payload: bytes) -> int:
+        return self._inner.write(kind, frame, payload)
+
+    def open(self) -> StreamWriter:
+        return self._inner.open()
+
+    def cut(self, frames: int) -> bool:
+        return self._inner.cut(frames)
+
+    def close(self, frames: int) -> None:
+        self._inner.close(frames)
+
+    def publish(self) -> int:
+        return self._inner.publish()
+
+    def release(self) -> None:
+        self._inner.release()
+
+
 class FileOutput(StreamOutput):
     """A file, locked from now on, so that one that cannot be written is refused before training.
 

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from decogs.codec.header.header import StreamHeader
-from decogs.formats.stream.container import VERSION, StreamWriter
+from decogs.formats.stream.container import VERSION
 
-from ..output.stream_output import StreamOutput, open_output
+from ..output.stream_output import StreamOutput, WrappedOutput, open_output
 from .manifest import Part, read_part, with_part
 
 
@@ -22,39 +22,15 @@ def is_of_part(header: StreamHeader, frames: int) -> bool:
     return read_part(header) is not None
 
 
-class PartOutput(StreamOutput):
+class PartOutput(WrappedOutput):
     """Writes a whole stream's packets into the file of a part; ``inner`` takes them."""
 
     def __init__(self, inner: StreamOutput, part: Part) -> None:
-        super().__init__()
-        self._inner, self._part = inner, part
-
-    @property
-    def name(self) -> Path:
-        return self._inner.name
-
-    @property
-    def is_open(self) -> bool:
-        return self._inner.is_open
-
-    @property
-    def growing(self) -> Path | None:
-        return self._inner.growing
+        super().__init__(inner)
+        self._part = part
 
     def begin(self, header: bytes, version: tuple[int, int] = VERSION) -> None:
         self._inner.begin(with_part(header, self._part), version)
 
     def write(self, kind: int, frame: int, payload: bytes) -> int:
         return self._inner.write(kind, self._part.frame_in_part(frame), payload)
-
-    def open(self) -> StreamWriter:
-        return self._inner.open()
-
-    def close(self, frames: int) -> None:
-        self._inner.close(frames)
-
-    def publish(self) -> int:
-        return self._inner.publish()
-
-    def release(self) -> None:
-        self._inner.release()

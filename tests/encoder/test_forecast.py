@@ -19,7 +19,6 @@ from decogs.encoder.forecast.pilot import LATER_FRAMES, Pilot, change_shares, pi
 from decogs.encoder.output.progress import TerminalProgress
 from decogs.encoder.output.whole import FRAMES_KNOWN, settled, whole_of
 from decogs.encoder.settings.presets import LADDER
-from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
 
@@ -86,11 +85,17 @@ def test_the_pilot_is_where_as_much_changes_as_on_average() -> None:
 
 
 def test_the_camera_that_is_left_out_has_neighbours_as_usual(moving_rig: Path) -> None:
+    """Not one that stands alone, nor one of a pair."""
     rig = open_rig(moving_rig)
-    left_out = pilots._left_out(replace(rig, cameras=rig.cameras * 2), ())
-    assert left_out[0] in {camera.name for camera in rig.cameras}
-    assert pilots._left_out(replace(rig, cameras=rig.cameras[:4]), ()) == ()
-    assert camera_centre(rig.cameras[0]).shape == (3,)
+    names = {0.0: "pair", 0.1: "twin", 1.0: "a", 2.0: "b", 3.0: "c", 9.0: "alone"}
+    cameras = []
+    for place, name in names.items():
+        pose = np.eye(4)
+        pose[0, 3] = -place
+        cameras.append(replace(rig.cameras[0], name=name, world_to_camera=pose))
+    several = replace(rig, cameras=tuple(cameras))
+    assert pilots._left_out(several, ()) in {("a",), ("b",), ("c",)}
+    assert pilots._left_out(several, ("a", "b")) == ()
 
 
 def report(frame: int, kind: str, size: int, cpu: float) -> Any:

@@ -99,7 +99,7 @@ def test_the_map_and_its_fence() -> None:
     assert set(found.own) == {each.name for each in CAMERAS}
     within = [cell.psnr for cell in cells if cell.is_within]
     assert within
-    assert min(value for value in within if value is not None) >= found.least + 1
+    assert min(value for value in within if value is not None) >= found.least
     # A camera that was left out, and came out 4 dB worse than expected, lowers all by half of that.
     expected = expected_psnr(witnesses.testimony(camera("left", 6.0))[0])
     assert expected is not None
