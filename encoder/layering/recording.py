@@ -1,4 +1,4 @@
-"""A stream that is put in layers while it grows: a base is trained on what has been encoded so far."""
+"""A stream that is put in layers while it grows: a base is trained on its first frame, and follows what moves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from decogs.codec.header.header import StreamHeader
 from decogs.codec.header.layer_list import Layer
 from decogs.codec.packets.frame_payload import FramePayload, split_payload
 from decogs.codec.reconstruct import reconstruct_frame
-from decogs.codec.scene.state import Rows, changed_between, same_scene
 from decogs.decoder.editing.layers import LayerWriter
 from decogs.decoder.editing.operations.layer import SHARE
 from decogs.decoder.editing.take import Frame
@@ -18,19 +17,19 @@ from decogs.formats.stream.container import FRAME_KINDS, LAYERED_VERSION, Packet
 
 from ..output.stream_output import StreamOutput, WrappedOutput
 from ..training.method import MAX_GROWTH
+from .movers import Movers
 from .rounds import Footage, Round, RoundMaker
 
-_ROUND_FRAMES = 60
-_MOMENT_FRAMES = 15
-"""Scenes that a round is trained on are so far apart: with the newest alone the base lost a dB until the next round."""
+_MOST_SHARE = 0.5
+"""Of the most Gaussians that an encode may come to: a base that grows above it is chosen anew."""
 
 
 class LayeredOutput(WrappedOutput):
     """Writes a stream's packets in two layers into ``inner``; all together give the very Gaussians of each frame.
 
-    The base is chosen and trained at the first frame, and anew every 60 frames from scenes of the 60 before: training
-    holds the encode up for a few seconds then. What refines a segment is kept in memory up to its end, behind which it
-    is written. The header lists the most Gaussians that the encode may come to; bytes are not known.
+    The base is chosen and trained at the first frame, and follows what moves. What refines a segment is kept in memory
+    up to its end, behind which it is written. The header lists the most Gaussians that the encode may come to; bytes
+    are not known.
     """
 
     def __init__(self, inner: StreamOutput, threads: int = 0) -> None:
@@ -67,42 +66,36 @@ class _Recording:
         self._header, self._maker = header, RoundMaker(header, SHARE, threads)
         payload = split_payload(first, header.corrected)
         self._first = self._state = reconstruct_frame(None, payload, header).state
-        self._scenes, self._changed, self._age = [self._state], list[Rows](), 0
-        self._round = self._new_round(None)
-        most = round(MAX_GROWTH * len(self._first))
-        base = Layer(round(SHARE * most), 0.0, float(np.mean(self._round.likeness)))
-        header = replace(header, layers=(base, Layer(most, 0.0)))
+        self._most = round(MAX_GROWTH * len(self._first))
+        self._base, self._movers = self._new_base()
+        base = Layer(round(_MOST_SHARE * self._most), 0.0, float(np.mean(self._base.likeness)))
+        header = replace(header, layers=(base, Layer(self._most, 0.0)))
         output.begin(header.to_bytes(), LAYERED_VERSION)
         self._writer = LayerWriter(header, output)
         self._write(payload)
 
     def add(self, packet: Packet) -> None:
-        """The next frame; trains the base first if that is due."""
+        """The next frame; of another scene a base is trained first."""
         payload, before = split_payload(packet, self._header.corrected), self._state
         self._state = reconstruct_frame(before, payload, self._header, first=self._first).state
-        if not same_scene(before, self._state):
-            self._changed.append(before.ids[changed_between(before, self._state)])
-        self._age += 1
-        if packet.kind == PacketKind.KEY and len(self._round.base(self._state)) < len(self._round.ids) / 2:
-            self._scenes, self._changed = [self._state], []  # a scene of others
-            self._round = self._new_round(None)
-        elif self._age == _ROUND_FRAMES:
-            self._scenes.append(self._state)
-            self._round = self._new_round(self._round)
-        elif self._age % _MOMENT_FRAMES == 0:
-            self._scenes.append(self._state)
+        stay = np.isin(self._base.ids, self._state.ids, assume_unique=True)
+        if packet.kind == PacketKind.KEY and np.mean(stay) < 0.5:
+            self._base, self._movers = self._new_base()
+        else:
+            self._base = self._movers.joined(self._base, before, self._state)
+            if len(self._base.ids) > _MOST_SHARE * self._most:
+                self._base, self._movers = self._new_base()
         self._write(payload)
 
     def finish(self, frames: int) -> None:
         """Writes what refines the first ``frames`` and is still held back."""
         self._writer.finish(frames)
 
-    def _new_round(self, before: Round | None) -> Round:
-        """Trained on the scenes since the last one, the newest first."""
-        footage = Footage(self._scenes[::-1], self._changed)
-        self._scenes, self._changed, self._age = [], [], 0
-        return self._maker.made(footage, before, footage.moved)
+    def _new_base(self) -> tuple[Round, Movers]:
+        """A base of the scene as it is now, of which nothing has moved."""
+        base = self._maker.made(Footage([self._state], []), None, np.zeros(0, np.int64))
+        return base, Movers(self._state, self._header.lattice)
 
     def _write(self, payload: FramePayload) -> None:
         is_key = payload.body.kind == PacketKind.KEY
-        self._writer.write(Frame(self._state, payload.corrections, is_key, base=self._round.base(self._state)))
+        self._writer.write(Frame(self._state, payload.corrections, is_key, base=self._base.base(self._state)))

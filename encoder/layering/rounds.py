@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.keyframes import new_state
-from decogs.codec.scene.lattice import dequantise, quantise
+from decogs.codec.scene.lattice import Lattice, dequantise, quantise
 from decogs.codec.scene.state import (
     ARRAYS,
     Attributes,
@@ -81,6 +81,14 @@ class Round:
         values = _plus(take_rows(scene, np.flatnonzero(here)), offsets)
         return new_state(values, scene.frame, ids=ids, next_id=scene.next_id)
 
+    def updated(self, scene: State, ids: Rows, offsets: Attributes) -> Round:
+        """Those that are in the ``scene``, with these ``offsets`` of these ``ids``, which may be new in the base."""
+        stay = np.isin(self.ids, np.setdiff1d(scene.ids, ids, assume_unique=True), assume_unique=True)
+        every = np.concatenate([self.ids[stay], ids])
+        both = (np.concatenate([getattr(self.offsets, name)[stay], getattr(offsets, name)]) for name in ARRAYS)
+        order = np.argsort(every)
+        return replace(self, ids=every[order], offsets=take_rows(Attributes(*both), order))
+
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
@@ -105,7 +113,7 @@ class RoundMaker:
     def made(self, footage: Footage, before: Round | None, moved: Rows) -> Round:
         """The base of a round; offsets of ``before`` stay where nothing ``moved``, if that is as good."""
         sample = self._sample(footage, before)
-        start = self._grown(sample)
+        start = grown(len(sample.ids), sample.values.coefficients, _GROWTH, self._lattice)
         nobody = np.zeros(len(sample.ids), bool)
         if before is None:
             return self._trained(sample, start, nobody)
@@ -127,11 +135,6 @@ class RoundMaker:
         base = dequantise(_plus(values, offsets), self._lattice)
         likest = likeness(self._kernel, base, moments, self._cameras)
         return Round(ids, offsets, likest)
-
-    def _grown(self, sample: _Sample) -> Attributes:
-        """Offsets of Gaussians that are new in the base: none but larger sizes."""
-        nothing = _zeros(len(sample.ids), sample.values.coefficients)
-        return replace(nothing, log_scales=nothing.log_scales + np.int32(round(_GROWTH / self._lattice.log_scales)))
 
     def _sample(self, footage: Footage, before: Round | None) -> _Sample:
         """What the base of the round is trained on."""
@@ -167,6 +170,12 @@ class RoundMaker:
         scene = dequantise(state, self._lattice)
         pictures = [np.clip(self._kernel.forward(scene, camera).rgb, 0, 1).copy() for camera in self._cameras]
         return Moment(dequantise(values, self._lattice), np.isin(ids, state.ids, assume_unique=True), pictures)
+
+
+def grown(count: int, coefficients: int, growth: float, lattice: Lattice) -> Attributes:
+    """Offsets of Gaussians that are new in the base: none but larger logarithmic sizes."""
+    nothing = _zeros(count, coefficients)
+    return replace(nothing, log_scales=nothing.log_scales + np.int32(round(growth / lattice.log_scales)))
 
 
 def _training_cameras(cameras: Sequence[Camera]) -> list[Camera]:
