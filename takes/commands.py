@@ -152,7 +152,14 @@ def report_parser() -> Parser:
         epilog="The page needs no other file and no network.",
     )
     parser.add_argument("stream", help="the .dgs file")
-    parser.add_argument("-o", "--output", required=True, metavar="REPORT.HTML", help="the page to write")
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="REPORT.HTML",
+        help="the page to write; a name that ends in "
+        ".json: only its map of where the scene holds, the player's `fence`",
+    )
     parser.add_argument("--rig", dest="rig_dir", required=True, metavar="RIG_DIR", help="the rig it was encoded from")
     add_sync_option(parser)
     parser.add_argument(
@@ -169,7 +176,7 @@ def _report(options: argparse.Namespace) -> None:
     from decogs.decoder.reading.stream import open_stream
     from decogs.formats.files.outputs import Output, check_outputs, files_read, write_whole
 
-    from .report import Extras, report
+    from .report import Extras, fence, report
     from .spent import read_spent
 
     output, stream = Path(options.output), Path(options.stream)
@@ -182,9 +189,12 @@ def _report(options: argparse.Namespace) -> None:
     )
     rig = rig_in_step(options)
     with progress("comparing", quiet=options.quiet) as on_frame:
-        page = report(stream, rig, title, on_frame, options.threads, extras)
-    write_whole(output, page.encode())
-    print_text(f"{printable(str(output))}: {size_text(len(page))}")
+        if output.suffix.lower() == ".json":
+            text = fence(stream, rig, on_frame, options.threads)
+        else:
+            text = report(stream, rig, title, on_frame, options.threads, extras)
+    write_whole(output, text.encode())
+    print_text(f"{printable(str(output))}: {size_text(len(text))}")
 
 
 def verify_main(arguments: Sequence[str] | None = None) -> int:

@@ -32,6 +32,7 @@ KINDS = {
     "usd": Kind("decogs-export", "scene.usdc"),
     "blender": Kind("decogs-export", "blender.usdc", {"up": "Z"}),
     "report": Kind("decogs-report", "report.html", reads_rig=True),
+    "fence": Kind("decogs-report", "fence.json", reads_rig=True),
     "splats": Kind("decogs-export", "splats/frame_####.spz"),
 }
 """By the name of a table in [deliver], or by its member ``kind``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from decogs.rig.check.plan import document
 from .against import against
 from .compared import Compared, compare, holding_of, pairs_of
 from .figures import error_table, in_text, pair_figure
+from .holding import document as map_document
 from .holding import parts
 from .records import file_digest
 from .spent import Spent
@@ -83,6 +85,12 @@ def report(
         "</pre>",
     ]
     return document(title, page)
+
+
+def fence(stream: Path, rig: Rig, on_frame: OnProgress, threads: int = 0) -> str:
+    """The page's map of where the scene holds, JSON, within which a player keeps views. Raises as `report` does."""
+    compared = compare(stream, rig, 1, on_frame, threads)
+    return json.dumps(map_document(holding_of(stream, rig, compared, threads)))
 
 
 def _in_short(facts: StreamInfo, compared: Compared) -> str:

@@ -16,6 +16,7 @@ from PIL import Image
 from decogs.decoder.editing import Grade, Trim, edit
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
+from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig, read_frames
 from decogs.takes.commands import report_main
@@ -67,6 +68,23 @@ def test_the_page_holds_all_that_it_shows(stream: Path, tmp_path: Path, capsys) 
     again = tmp_path / "again.html"
     assert report_main([str(stream), "--rig", str(RIG), "-o", str(again), "--title", "Take <3>", "-q"]) == 0
     assert again.read_bytes() == out.read_bytes()
+
+
+def test_the_map_alone_is_the_fence_of_a_player(
+    stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the page has it; cameras stand in it."""
+    page, alone = tmp_path / "report.html", tmp_path / "fence.json"
+    for out in page, alone:
+        assert report_main([str(stream), "--rig", str(RIG), "-o", str(out), "-q"]) == 0, capsys.readouterr().err
+    fence = json.loads(alone.read_text())
+    assert fence == json.loads(re.findall("id='where-it-holds'>(.*?)</script>", page.read_text())[0])
+    axes, low, high = (np.array(fence[name]) for name in ("axes", "low", "high"))
+    within = np.array(fence["within"])
+    with open_stream(stream) as opened:
+        places = np.array([camera_centre(camera) for camera in opened.header.cameras]) @ axes.T
+    columns, rows = np.floor((places - low) / (high - low) * within.shape[::-1]).astype(int).T
+    assert within[rows, columns].mean() > 0.5
 
 
 def test_two_streams_beside_each_other(stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,7 +3,7 @@ import { cameraFromLink } from "./decogs-player.js";
 // The page's address says what to play: ?src=scene.dgs&follow#camera=...&frame=12
 const player = document.querySelector("decogs-player");
 const asked = new URLSearchParams(location.search);
-for (const name of ["follow", "autoplay", "loop", "range", "quality", "camera", "poster", "exact", "recorded", "background", "orbit", "limits", "gestures"]) {
+for (const name of ["follow", "autoplay", "loop", "range", "quality", "camera", "poster", "exact", "recorded", "background", "orbit", "limits", "fence", "gestures"]) {
   if (asked.has(name)) player.setAttribute(name, asked.get(name));
 }
 // What is behind a subject beside colours: squares, or the page around this one's frame.

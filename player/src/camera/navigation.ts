@@ -7,6 +7,7 @@
 import type { Lens } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
 import { lookingAxes } from "../geometry/poses";
+import type { Fence } from "./fence";
 import type { RigRange } from "./rig_range";
 import {
   applied,
@@ -69,6 +70,8 @@ export class Navigation {
   range: RigRange | null = null;
   /** Whether views stay where the cameras of the rig have seen the scene from. */
   limited = false;
+  /** Where views stay instead, seen from above, if a fence is known. */
+  fence: Fence | null = null;
 
   private spin: [number, number] = [0, 0];
   private shift: Vector = [0, 0, 0];
@@ -159,12 +162,13 @@ export class Navigation {
     return this.pose !== before;
   }
 
-  /** A wall around what the cameras see from: no farther out; who is outside may come back. */
+  /** A wall around what the cameras see from, or the fence: no farther out; who is outside may come back. */
   private holdWithin(before: Pose): void {
-    const { range, pose } = this;
+    const { range, fence, pose } = this;
     if (range === null || pose === before || !this.moved) return;
-    const now = range.outside(pose.centre);
-    if (now > 0 && now > range.outside(before.centre)) {
+    const outside = ({ centre }: Pose): number => (fence === null ? range.outside(centre) : fence.outside(centre) + range.above(centre));
+    const now = outside(pose);
+    if (now > 0 && now > outside(before)) {
       this.pose = before;
       this.rest();
     }

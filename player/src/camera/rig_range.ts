@@ -55,11 +55,14 @@ export class RigRange {
 
   /** How far a place lies outside of what is allowed; 0 inside. */
   outside(centre: Vector): number {
-    const { around, climb, distance } = this.orbitOf(centre);
-    const beyond = (value: number, low: number, high: number): number => Math.max(0, low - value, value - high);
+    const { around, distance } = this.orbitOf(centre);
     const aside = this.allAround ? 0 : beyond(Math.abs(turned(around - this.middle)), 0, this.half + MARGIN);
-    const above = beyond(climb, this.climbs[0] - MARGIN, this.climbs[1] + MARGIN);
-    return aside + above + beyond(distance, ...this.distances) / this.distances[1];
+    return aside + this.above(centre) + beyond(distance, ...this.distances) / this.distances[1];
+  }
+
+  /** How far a place lies above or below all cameras; 0 between. */
+  above(centre: Vector): number {
+    return beyond(this.orbitOf(centre).climb, this.climbs[0] - MARGIN, this.climbs[1] + MARGIN);
   }
 
   /** Radians to either side that a view from there may sway. */
@@ -74,6 +77,10 @@ export class RigRange {
     const around = Math.atan2(dot(from, this.axes[1]), dot(from, this.axes[0]));
     return { around, climb: Math.asin(Math.min(1, Math.max(-1, dot(from, this.up) / distance))), distance };
   }
+}
+
+function beyond(value: number, low: number, high: number): number {
+  return Math.max(0, low - value, value - high);
 }
 
 /** An angle between -pi and pi. */

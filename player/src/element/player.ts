@@ -16,7 +16,7 @@ import type { Session } from "./session";
 const INSIDE = Symbol.for("decogs.inside");
 
 export class DecogsPlayer extends AttributeElement implements PlayerApi {
-  static readonly observedAttributes = ["src", "crossorigin", "preload", "controls", "autoplay", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "range", "quality", "muted", "max-gaussians", "max-bitrate"];
+  static readonly observedAttributes = ["src", "crossorigin", "preload", "controls", "autoplay", "loop", "poster", "camera", "exact", "recorded", "background", "orbit", "limits", "fence", "range", "quality", "muted", "max-gaussians", "max-bitrate"];
 
   readonly #playout = new Playout(this, this.attachShadow({ mode: "open" }));
   #comparing = false;

@@ -12,6 +12,7 @@ import { Appearance } from "./appearance";
 import type { AttributeElement } from "./attributes";
 import { Captures } from "./captures";
 import type { PlayerEvent } from "./events";
+import { FenceFile } from "./fence_file";
 import { FrameCallbacks } from "./frame_callbacks";
 import { Headset } from "./headset";
 import { LateControls } from "./late_controls";
@@ -97,6 +98,14 @@ export class Playout {
   /** Whether the stream is opened when somebody plays it. */
   #deferred = false;
   readonly #poster = new Poster();
+  readonly #fence = new FenceFile(
+    (fence) => {
+      this.viewpoint.fence = fence;
+    },
+    (why) => {
+      console.warn(why);
+    },
+  );
   readonly #accessibility: Accessibility;
   readonly #unseenPause: UnseenPause;
   readonly #ticker = new Ticker((now, seconds) => {
@@ -167,7 +176,8 @@ export class Playout {
       this.wake();
     }
     if (name === "muted") element.muted = value !== null;
-    if (name === "limits") viewpoint.limit(value === "rig");
+    if (name === "fence") this.#fence.address = value ?? "";
+    if (name === "limits" || name === "fence") this.#limit();
     if (name === "quality") appearance.chooseQuality();
     if (name === "max-gaussians" || name === "max-bitrate") this.session.send({ type: "budget", budget: budgetOf(element) });
     if (name === "range") playback.range = element.range;
@@ -290,9 +300,14 @@ export class Playout {
     this.#left = null;
     this.#accessibility.setTitle(header.presentation.title);
     viewpoint.open(header, this.pictures!.stage.navigation, left?.camera || element.getAttribute("camera"), left?.camera === "" ? left.view : null);
-    viewpoint.limit(element.getAttribute("limits") === "rig");
+    this.#limit();
     viewpoint.sway(element.hasAttribute("orbit"));
     this.appearance.open();
+  }
+
+  #limit(): void {
+    const { element } = this;
+    this.viewpoint.limit(element.getAttribute("limits") === "rig" || element.hasAttribute("fence"));
   }
 
   #close(): void {

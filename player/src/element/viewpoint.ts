@@ -1,4 +1,5 @@
 /** From where the stream is looked at: a camera of its rig or any other view, also one that was asked for before it came. */
+import type { Fence } from "../camera/fence";
 import type { Navigation } from "../camera/navigation";
 import type { Lens } from "../geometry/camera";
 import type { Pose } from "../geometry/poses";
@@ -22,6 +23,7 @@ export class Viewpoint {
   /** What to look at when the next stream has come. */
   #startView: View | null = null;
   #startCamera = "";
+  #fence: Fence | null = null;
 
   constructor(private readonly host: ViewpointHost) {}
 
@@ -104,10 +106,16 @@ export class Viewpoint {
     if (this.isMoving) this.host.asked();
   }
 
-  /** Keeps views where the rig's cameras have seen the scene from. */
+  /** Keeps views where the rig's cameras have seen the scene from, or within the fence if there is one. */
   limit(on: boolean): void {
     const navigation = this.host.navigation();
-    if (navigation !== null) navigation.limited = on;
+    if (navigation !== null) Object.assign(navigation, { limited: on, fence: this.#fence });
+  }
+
+  set fence(fence: Fence | null) {
+    this.#fence = fence;
+    const navigation = this.host.navigation();
+    if (navigation !== null) navigation.fence = fence;
   }
 
   /** Somebody moved the view. */

@@ -56,6 +56,33 @@ test("dragging circles the pivot, upright, the near side going with the hand", a
   await page.context().close();
 });
 
+test("a hand stops where the fence stands, whose address is part of the page's", async () => {
+  const page = await browser.opened("dome", { width: 640, height: 400 });
+  await ready(page);
+  const { centre, axes, up } = await state(page);
+  const right = axes[0];
+  const forward = [0, 1, 2].map((i) => right[(i + 1) % 3] * up[(i + 2) % 3] - right[(i + 2) % 3] * up[(i + 1) % 3]);
+  const along = (axis, place) => axis.reduce((sum, part, i) => sum + part * place[i], 0);
+  const [x, y] = [along(right, centre), along(forward, centre)];
+  // Admitted is a square of a side of .4 around the camera, of a wider map.
+  const fence = { axes: [right, forward], low: [x - 0.6, y - 0.6], high: [x + 0.6, y + 0.6], within: [0, 1, 2].map((row) => [false, row === 1, false]) };
+  await page.context().route("**/fence.json", (route) => route.fulfill({ json: fence }));
+  const fenced = await page.context().newPage();
+  await fenced.setViewportSize({ width: 640, height: 400 });
+  const address = new URL(page.url());
+  address.searchParams.set("fence", "fence.json");
+  await fenced.goto(address.href);
+  await until(fenced, "player.info !== null && player[Symbol.for('decogs.inside')].stage.navigation.fence !== null");
+  const far = [];
+  for (const each of [page, fenced]) {
+    await dragged(each, 250, 0);
+    far.push(Math.abs(along(right, (await state(each)).centre) - x));
+  }
+  assert.ok(far[0] > 0.3, `without a fence: ${far[0]}`);
+  assert.ok(far[1] > 0.02 && far[1] <= 0.2 + 1e-9, `within the fence: ${far[1]}`);
+  await page.context().close();
+});
+
 test("the timeline shows the keyframe below the pointer, from where the scene is looked at", async () => {
   const page = await browser.opened("long", { width: 640, height: 400, query: "&camera=turned" });
   await ready(page);

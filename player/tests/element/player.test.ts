@@ -74,7 +74,7 @@ function rest(now: number): void {
 
 interface Inside {
   readonly ticking: number;
-  readonly stage: { readonly navigation: { readonly isSwaying: boolean; readonly limited: boolean } };
+  readonly stage: { readonly navigation: { readonly isSwaying: boolean; readonly limited: boolean; readonly fence: { outside(centre: readonly [number, number, number]): number } | null } };
 }
 const inside = (player: DecogsPlayer): Inside => (player as unknown as Record<symbol, Inside>)[Symbol.for("decogs.inside")];
 
@@ -296,6 +296,33 @@ test("attributes reach what they are of, before and after the stream", () => {
   player.setAttribute("limits", "none");
   assert.deepEqual([stage.navigation.isSwaying, stage.navigation.limited], [false, false]);
 });
+
+test("a fence is read from where it lies; until then, and without it, the rig's own limits hold", async (context) => {
+  const map = { axes: [[1, 0, 0], [0, 0, 1]], low: [0, 0], high: [1, 1], within: [[true]] };
+  const answers = new Map([["good.json", Response.json(map)], ["page.html", new Response("<p>")]]);
+  const fetched = context.mock.method(globalThis, "fetch", (address: string) => Promise.resolve(answers.get(address) ?? new Response("", { status: 404 })));
+  const warned = context.mock.method(console, "warn", () => undefined);
+  const player = put({ src: "a.dgs", fence: "good.json" });
+  come();
+  const { navigation } = inside(player).stage;
+  assert.deepEqual([navigation.limited, navigation.fence], [true, null]);
+  await settled();
+  assert.equal(navigation.fence?.outside([0.5, 9, 0.5]), 0);
+  for (const [address, why] of [["none.json", /fence none\.json: HTTP 404/], ["page.html", /fence page\.html: .*JSON/]] as const) {
+    player.setAttribute("fence", address);
+    await settled();
+    assert.deepEqual([navigation.limited, navigation.fence], [true, null]);
+    assert.match(String(warned.mock.calls.at(-1)?.arguments[0]), why);
+  }
+  player.removeAttribute("fence");
+  assert.equal(navigation.limited, false);
+  assert.equal(fetched.mock.callCount(), 3);
+});
+
+/** What was fetched has been read. */
+async function settled(): Promise<void> {
+  for (let i = 0; i < 5; i++) await new Promise((resolve) => setImmediate(resolve));
+}
 
 test("the background lies behind a picture of a subject, or one that the author wants to be clear", () => {
   const player = put({ src: "a.dgs", background: "red" });
