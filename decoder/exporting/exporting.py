@@ -10,7 +10,7 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -26,7 +26,7 @@ from decogs.formats.geometry.length_units import metres_of
 from decogs.formats.geometry.similarity import Similarity, transformed_splats
 from decogs.formats.geometry.up_direction import AXES, UPS, Up, Vector, turn_between, up_text, up_vector
 from decogs.formats.splat_files import Extremes, SplatFormat, splat_formats
-from decogs.formats.splat_files.spz import SpzVersion
+from decogs.formats.splat_files.spz import Spz, SpzVersion
 from decogs.formats.splats import Splats
 from decogs.formats.system.callbacks import OnProgress, OnWarning
 from decogs.formats.usd.openusd import load_openusd
@@ -36,6 +36,7 @@ from decogs.formats.usd.writing import USD_SUFFIXES
 from ..frame_choice import open_chosen
 from ..limits import DEFAULT_MAX_MEMORY
 from ..output.pictures import DEFAULT_FPS
+from .safe_orbit import safe_orbit
 
 if TYPE_CHECKING:
     from ..subject.subject import AnyStream
@@ -297,9 +298,12 @@ def _export_usd(plan: _Plan, stream: AnyStream, chosen: range, source: Path) -> 
 
 
 def _export_splats(plan: _Plan, stream: AnyStream, chosen: range, names: list[Path]) -> ExportReport:
-    settings = {} if plan.spz_version is None else {"version": plan.spz_version}
-    form = splat_formats()[plan.suffix](compensated=True, **settings)
+    form = splat_formats()[plan.suffix](compensated=True)
     similarity, up = _similarity(plan, stream.header, form.up)
+    if isinstance(form, Spz):
+        form = replace(
+            form, version=plan.spz_version or form.version, orbit=safe_orbit(stream.header.cameras, similarity)
+        )
     form = _fitted(form, plan, _extremes(plan, stream, chosen, similarity, form))
     size = 0
     files = _files(form, plan, stream, chosen, similarity)

@@ -1,6 +1,7 @@
 """.spz: fixed point and 8-bit values, behind gzip (versions 2 and 3) or, each kind by itself, zstd (version 4).
 
-Source: the README of nianticlabs/spz, "File Format", as npm's @adobe/spz 4 has it, and its src/cc/load-spz.cc. The axes
+Source: the README of nianticlabs/spz, "File Format", as npm's @adobe/spz 4 has it, its extensions/README.md and its
+src/cc/load-spz.cc. The axes
 of a file are right, up, back; this turns nothing, whoever calls it does. Its library, in splat-transform 2.7.1, reads
 what is written here with the values that ``parse_spz`` gives.
 """
@@ -24,8 +25,9 @@ from .quantised import logits, opacities, to_bytes, unit_rotations
 SpzVersion = Literal[2, 3, 4]
 
 _LEGACY_HEADER, _HEADER, _STREAM = struct.Struct("<IIIBBBB"), struct.Struct("<IIIBBBBI12x"), struct.Struct("<QQ")
+_ORBIT, _ORBIT_TYPE = struct.Struct("<IIfff"), 0xADBE0002
 _MAGIC = 0x5053474E
-_ANTIALIASED = 1
+_ANTIALIASED, _EXTENDED = 1, 2
 _COLOUR = 0.15
 _LARGEST = 0.5**0.5
 _MAGNITUDE = 511
@@ -43,12 +45,25 @@ _MAX_GAUSSIANS = 10_000_000
 
 
 @dataclass(frozen=True)
+class SafeOrbit:
+    """How viewers may circle: ``elevations`` in radians above what they look at, least and most, and how near,
+    ``least_distance`` in world units (the extension SPZ_ADOBE_safe_orbit_camera)."""
+
+    elevations: tuple[float, float]
+    least_distance: float
+
+    def record(self) -> bytes:
+        return _ORBIT.pack(_ORBIT_TYPE, _ORBIT.size - 8, *self.elevations, self.least_distance)
+
+
+@dataclass(frozen=True)
 class Spz:
     """One frame. Defaults are the library's, but for the version, which is the newest that most readers know.
 
     ``fraction_bits``: of a position, in world units; it has 24 bits in all, and what lies outside them is put at their
     ends. ``sh1_bits``, ``sh_rest_bits``: kept of the 8 of each SH coefficient of degree 1 and above; what lies beyond
-    +-1 is put there. ``compensated`` sets the flag "antialiased".
+    +-1 is put there. ``compensated`` sets the flag "antialiased". ``orbit``: None says nothing of viewers;
+    version 4 alone has room for it.
     """
 
     fraction_bits: int = 12
@@ -56,6 +71,7 @@ class Spz:
     sh_rest_bits: int = 4
     version: SpzVersion = 3
     compensated: bool = False
+    orbit: SafeOrbit | None = None
     suffix: ClassVar[str] = ".spz"
     up: ClassVar[Literal["Y", "-Y"]] = "Y"
     log_scales: ClassVar[tuple[float, float]] = (-10.0, 255 / 16 - 10)
@@ -102,11 +118,15 @@ class Spz:
             (_first_three(rotations) if self.version == 2 else _smallest_three(rotations)).tobytes(),
             _bucketed(sh, 1 << (8 - bits)).tobytes(),
         ]
-        fields = (_MAGIC, self.version, len(splats), splats.sh_degree, self.fraction_bits, int(self.compensated))
+        fields = (_MAGIC, self.version, len(splats), splats.sh_degree, self.fraction_bits, self._flags)
         if self.version == 4:
-            return _zstd_streams(fields, columns)
+            return _zstd_streams(fields, b"" if self.orbit is None else self.orbit.record(), columns)
         packer = zlib.compressobj(-1, zlib.DEFLATED, _GZIP, 9)
         return packer.compress(_LEGACY_HEADER.pack(*fields, 0) + b"".join(columns)) + packer.flush()
+
+    @property
+    def _flags(self) -> int:
+        return _ANTIALIASED * self.compensated | _EXTENDED * (self.version == 4 and self.orbit is not None)
 
     def decode(self, data: bytes) -> Splats:
         return parse_spz(data, Room())[0]
@@ -139,12 +159,13 @@ def parse_spz(data: bytes, room: Room) -> tuple[Splats, bool]:
     return splats, bool(head.flags & _ANTIALIASED)
 
 
-def _zstd_streams(fields: tuple[int, ...], columns: list[bytes]) -> bytes:
-    """Version 4: the header, each stream's two sizes, and the streams; one without bytes is not there."""
+def _zstd_streams(fields: tuple[int, ...], extensions: bytes, columns: list[bytes]) -> bytes:
+    """Version 4: the header, extensions, each stream's two sizes, and the streams; one without bytes is not there."""
     raw = [column for column in columns if column]
     packed = [zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(column) for column in raw]
     sizes = [_STREAM.pack(len(small), len(large)) for small, large in zip(packed, raw, strict=True)]
-    return b"".join([_HEADER.pack(*fields, len(packed), _HEADER.size), *sizes, *packed])
+    header = _HEADER.pack(*fields, len(packed), _HEADER.size + len(extensions))
+    return b"".join([header, extensions, *sizes, *packed])
 
 
 @dataclass(frozen=True)

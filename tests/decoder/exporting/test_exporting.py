@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import io
 import re
+import struct
 import sys
 import zipfile
 from dataclasses import replace
@@ -17,9 +19,10 @@ from pxr import Gf, Usd, UsdGeom, UsdValidation
 
 from decogs.codec.header.header import StreamHeader
 from decogs.decoder import export, open_stream, render_view
+from decogs.decoder.cameras.moves import looked_at
 from decogs.decoder.commands import export_main
 from decogs.decoder.reading.stream import read_header
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import UsageError
 from decogs.formats.geometry.similarity import Similarity, transformed_splats
 from decogs.formats.geometry.up_direction import AXES, turn_between
@@ -212,6 +215,29 @@ def test_the_version_of_spz(small_stream: Any, tmp_path: Path) -> None:
         arguments = ["-o", str(tmp_path / "a.spz"), "--frames", ":1", "--spz-version", str(version)]
         assert export_main([str(small_stream.path), *arguments]) == 0
         assert (tmp_path / "a.spz").read_bytes().startswith(start)
+
+
+def test_spz_4_says_how_viewers_may_circle(small_stream: Any, tmp_path: Path) -> None:
+    """Adobe's extension: elevations of the cameras about what they look at, 12 degrees more to both sides, and six
+    tenths of the nearest one's distance; npm's @adobe/spz 4 reads it so. Older versions have no room for it."""
+    sizes = {}
+    for version in (3, 4):
+        arguments = ["-o", str(tmp_path / "a.spz"), "--frames", ":1", "--spz-version", str(version)]
+        assert export_main([str(small_stream.path), *arguments, "--up", "Y", "--scale-to-metres", "2"]) == 0
+        sizes[version] = (tmp_path / "a.spz").read_bytes()
+    *_, flags, _, streams_at = struct.unpack_from("<IIIBBBBI", sizes[4])
+    assert (flags & 2, streams_at) == (2, 52)
+    kind, length, low, high, radius = struct.unpack_from("<IIfff", sizes[4], 32)
+    assert (kind, length) == (0xADBE0002, 12)
+    with open_stream(small_stream.path) as stream:
+        cameras = stream.header.cameras
+    away = np.array([camera_centre(camera) for camera in cameras]) - looked_at(cameras)
+    distances = np.linalg.norm(away, axis=1)
+    elevations = np.rad2deg(np.arcsin(away[:, 1] / distances))
+    expected = max(elevations.min() - 12, -90), min(elevations.max() + 12, 90)
+    np.testing.assert_allclose(np.rad2deg([low, high]), expected, atol=1e-4)
+    assert radius == pytest.approx(0.6 * 2 * distances.min())
+    assert gzip.decompress(sizes[3])[14] & 2 == 0
 
 
 @pytest.mark.parametrize(("metres", "fault"), [("1e-3", "sizes of"), ("1", ""), ("1e5", "sizes of")])
