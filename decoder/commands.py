@@ -115,6 +115,13 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
     )
     _add_subject(group)
     group.add_argument(
+        "--unseen",
+        choices=("drawn", "transparent"),
+        default="drawn",
+        help="what no camera of the rig saw: drawn as the Gaussians have it (default), or left out, with alpha in PNG, "
+        "EXR and ProRes",
+    )
+    group.add_argument(
         "--follow", action="store_true", help="decode frames while an encoder writes them; give the stream's final name"
     )
     group.add_argument(
@@ -303,6 +310,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             subject=options.subject,
             undistorted=options.undistorted,
             drift_free=options.drift_free,
+            unseen=options.unseen,
             threads=options.threads,
             strict=options.strict,
             max_memory=options.max_memory,

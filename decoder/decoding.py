@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Union
+from typing import TYPE_CHECKING, BinaryIO, Literal, Union, get_args
 
 from decogs.codec.header.header import StreamHeader
 from decogs.formats.cameras import Camera
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
 """A file of cameras, one camera for every frame, one per frame, or a path."""
+Unseen = Literal["drawn", "transparent"]
+"""What becomes of places that no camera saw."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ def decode(
     subject: str | os.PathLike[str] | None = None,
     undistorted: bool = False,
     drift_free: bool = False,
+    unseen: Unseen = "drawn",
     threads: int = 0,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
@@ -87,8 +90,10 @@ def decode(
     ``subject``: a folder of mattes; only Gaussians in their hull are shown (``decogs.decoder.subject.subject``).
     ``undistorted``: without the rig camera's lens distortion. ``drift_free``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
-    it recorded. ``strict``, ``max_memory`` (bytes) and ``layer`` are those of ``open_stream``: without ``strict``,
-    damaged frames show the last good one. ``layout``: a picture of several renderings (``rendering.layouts``).
+    it recorded. ``unseen``: "transparent" leaves out what no camera that was trained on has seen, in an output that can
+    hold alpha by alpha, unless a ``background`` is given. ``strict``, ``max_memory`` (bytes) and ``layer`` are those of
+    ``open_stream``: without ``strict``, damaged frames show the last good one. ``layout``: a picture of several
+    renderings (``rendering.layouts``).
     ``video`` says how a video is encoded, and what is heard instead of the stream's own sound. An ``output`` that is an
     open file takes uncompressed video. ``on_frame(done, all)`` reports progress, ``all`` 0 while nobody knows, and
     ``on_warning(text)`` damage and a video that is not as good as it could be.
@@ -104,9 +109,15 @@ def decode(
     named = camera_file(camera)[0] if isinstance(camera, (str, os.PathLike)) else None
     read = files_read(stream=stream, camera=named, audio=video.audio)
     check_outputs([Output("output", Path(output) if isinstance(output, (str, os.PathLike)) else output)], read)
-    show = Show(scale, background, undistorted, threads, drift_free, max_memory, layout)
+    show = Show(
+        scale, background, undistorted, threads, drift_free, max_memory, layout, shows_unseen=unseen != "transparent"
+    )
+    if unseen not in get_args(Unseen):
+        raise UsageError(f"`unseen` {unseen}: is one of {', '.join(get_args(Unseen))}")
     if layout is not None:
         layout.check()
+        if not show.shows_unseen:
+            raise UsageError("`unseen`: stereo and 360 degree pictures show all; leave one of both out")
     if follow or not isinstance(stream, (str, os.PathLike)):
         if subject is not None:
             raise UsageError("`subject` needs the whole stream; decode its file when it is complete")
@@ -293,7 +304,7 @@ def _taken(
     if sink.has_layers and header.subject and not sink.has_alpha:
         raise UsageError("an EXR of a subject has no background; leave out `background`, or write PNG")
     if sink.has_alpha:
-        show = show.as_cut_out()
+        show = show.as_cut_out(header)
     if sink.has_layers:
         for shot, picture, layers in with_layers(header, shots, wanted, show, static):
             sink.write(shot.number, picture, layers)
@@ -305,8 +316,8 @@ def _taken(
 
 
 def _is_cut_out(header: StreamHeader, show: Show) -> bool:
-    """Whether the pictures are those of a subject over nothing."""
-    return header.subject and show.background is None
+    """Whether the pictures have nothing behind them: those of a subject, or without what nobody saw."""
+    return (header.subject or not show.shows_unseen) and show.background is None
 
 
 def _check_files(sink: PictureSink, numbers: Iterable[int], read: list[tuple[Path, str]]) -> None:

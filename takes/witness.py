@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from decogs.codec.header.header import StreamHeader
 from decogs.decoder.cameras.lens import Undistortion
 from decogs.decoder.rasterise import Rendering
+from decogs.decoder.rendering.unseen import places, seen_by
 from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre, scale_camera
 from decogs.formats.pictures.reading import Picture
@@ -79,7 +80,7 @@ class Witnesses:
         """
         camera = _small(view)
         drawn = self._drawn(camera)
-        points = _points(camera, drawn.depth.astype(np.float64))
+        points = places(camera, drawn.depth.astype(np.float64))
         middle = np.median(points[drawn.depth > 0], axis=0) if (drawn.depth > 0).any() else camera_centre(camera)
         angles = _angles(self._places - middle, camera_centre(camera) - middle)
         nearest = [row for row in np.argsort(angles, kind="stable") if self._witnesses[row].camera.name != view.name]
@@ -118,29 +119,12 @@ def _small(camera: Camera) -> Camera:
     return replace(scale_camera(straight, scale), name=camera.name)
 
 
-def _points(camera: Camera, depth: F64) -> F64:
-    """The places (H, W, 3) in the world that a pinhole's pixels show."""
-    y, x = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
-    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
-    rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return np.asarray((rays * depth[..., None] - shift) @ rotation, np.float64)
-
-
 def _error(witness: _Witness, drawn: Rendering, points: F64) -> F64:
     """Squared difference (H, W) of what is drawn and what the witness recorded there; NaN where it does not see it."""
-    camera = witness.camera
-    own = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    z = np.where(own[..., 2] > 0, own[..., 2], np.nan)
-    x, y = (
-        (own[..., axis] / z * focal + centre - 0.5).astype(np.float32)
-        for axis, focal, centre in ((0, camera.fx, camera.cx), (1, camera.fy, camera.cy))
-    )
-    inside = (drawn.depth > 0) & (x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)
-    there = cv2.remap(witness.depth, x, y, cv2.INTER_LINEAR)
-    sees = inside & (np.abs(there - z) < _SAME_DEPTH * z)
+    sees, x, y = seen_by(witness.camera, witness.depth, points, _SAME_DEPTH)
     recorded = cv2.remap(witness.picture, x, y, cv2.INTER_LINEAR)
     error = ((recorded - np.clip(drawn.image, 0, 1)) ** 2).mean(axis=-1)
-    return np.where(sees, error, np.nan)
+    return np.where(sees & (drawn.depth > 0), error, np.nan)
 
 
 def _directions(ways: F64) -> F64:

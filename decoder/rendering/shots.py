@@ -14,12 +14,14 @@ from decogs.formats.colours.srgb import Colour
 from decogs.formats.splats import FloatArray
 
 from ..cameras.corrections import with_recorded_colours
+from ..cameras.lens import Redistortion
 from ..cameras.path import CameraPath, camera_of_frame
 from ..limits import check_picture
 from ..output.exr import Layers
 from ..reading.frame import DecodedFrame
 from .compositing import Ids, dynamic_part, motion_to
 from .layouts import Layout
+from .unseen import Sight
 from .views import (
     behind_subject,
     camera_of,
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
 class Show:
     """How pictures are rendered, whatever they show; as in ``render_view``.
 
-    ``cut_out``: over black, for an output that keeps the subject's alpha.
+    ``cut_out``: over black, for an output that keeps the alpha. ``shows_unseen``: what no camera saw is drawn, too.
     """
 
     scale: float
@@ -51,19 +53,21 @@ class Show:
     max_memory: int
     layout: Layout | None = None
     cut_out: bool = False
+    shows_unseen: bool = True
 
     @property
     def of_view(self) -> dict[str, Any]:
         """What ``render_view`` and ``PlayedView`` both take."""
-        return {name: value for name, value in vars(self).items() if name not in ("drift_free", "layout", "cut_out")}
+        others = ("drift_free", "layout", "cut_out", "shows_unseen")
+        return {name: value for name, value in vars(self).items() if name not in others}
 
     def over(self, header: StreamHeader) -> Colour:
         """The display-referred colour behind the stream's scene."""
         return header.background if self.background is None else self.background
 
-    def as_cut_out(self) -> Show:
-        """The same pictures of a subject over nothing."""
-        return replace(self, background=(0.0, 0.0, 0.0), cut_out=True)
+    def as_cut_out(self, header: StreamHeader) -> Show:
+        """The same pictures over nothing: of a subject over black, of a whole scene as they are."""
+        return replace(self, background=(0.0, 0.0, 0.0) if header.subject else self.over(header), cut_out=True)
 
 
 @dataclass(frozen=True)
@@ -102,6 +106,19 @@ def pictures(
     header: StreamHeader, shots: Iterator[Shot], wanted: str | CameraPath, show: Show
 ) -> Iterator[tuple[Shot, Rendering]]:
     """Shot by shot what the camera sees; of a fixed camera's picture, only what changed is rendered again."""
+    drawn = _drawn(header, shots, wanted, show)
+    if show.shows_unseen:
+        yield from drawn
+        return
+    sight = Sight(header, show.threads)
+    for shot, picture in drawn:
+        plan = _plan(header, shot, show)
+        yield shot, sight.left_out(shot.frame.splats, plan, picture, None if show.cut_out else show.over(header))
+
+
+def _drawn(
+    header: StreamHeader, shots: Iterator[Shot], wanted: str | CameraPath, show: Show
+) -> Iterator[tuple[Shot, Rendering]]:
     from .played_view import PlayedView
 
     if show.layout is not None:
@@ -168,7 +185,7 @@ def _layers(
     header: StreamHeader, before: Shot | None, shot: Shot, after: Shot | None, show: Show, static: Ids | None
 ) -> Layers:
     correction = _correction(header, shot, show)
-    plan = view_plan(header, shot.view, scale=show.scale, undistorted=show.undistorted, correction=correction)
+    plan = _plan(header, shot, show)
     check_picture(plan.camera, show.max_memory, lens=not plan.is_identity, rendered=plan.render_camera, layers=True)
     pairs = max_pairs(header, len(shot.frame.state), plan, show.max_memory)
 
@@ -186,6 +203,11 @@ def _layers(
         else dynamic_part(shot.frame.splats, shot.frame.state.ids, static, plan, show.threads, pairs)
     )
     return Layers(plan.camera, background, dynamic, motion(after), motion(before))
+
+
+def _plan(header: StreamHeader, shot: Shot, show: Show) -> Redistortion:
+    correction = _correction(header, shot, show)
+    return view_plan(header, shot.view, scale=show.scale, undistorted=show.undistorted, correction=correction)
 
 
 def _correction(header: StreamHeader, shot: Shot, show: Show) -> Correction | None:
