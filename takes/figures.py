@@ -5,11 +5,13 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from .compared import F64, U8, Compared, Pair
+if TYPE_CHECKING:
+    from .compared import F64, U8, Compared, Pair
 
 _PICTURE_WIDTH = 360
 _RED_ERROR = 0.25

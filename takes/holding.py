@@ -13,11 +13,13 @@ from html import escape
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from decogs.decoder.cameras.moves import looking
 from decogs.formats.cameras import Camera, as_pinhole, camera_centre
 from decogs.rig.check.plan import plan_axes
 
+from .figures import figure
 from .witness import F64, Witnessed, Witnesses
 
 SPREAD = 2.5
@@ -49,12 +51,13 @@ _SIZE = 560
 class Expected:
     """Of a view: ``psnr`` in dB, None where no camera bears witness; ``is_within``: the fence admits it.
 
-    ``between``: the two cameras next to it, where it stands among them.
+    ``between``: the two cameras next to it, where it stands among them; ``view``: of a camera that stands there.
     """
 
     psnr: float | None
     is_within: bool
     between: tuple[str, str] | None = None
+    view: Camera | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,8 @@ class Holding:
     """``cells`` by row and column of the map, whose corners are ``low`` and ``high`` along its ``axes`` (2, 3).
 
     ``usual``: dB to be expected at the cameras' own places if they had not been there; ``least``: that the fence
-    admits; ``own``: what is expected at each camera's place, by its name.
+    admits; ``own``: what is expected at each camera's place, by its name; ``doubted``: the picture of the weakest
+    place, red where it is likely wrong.
     """
 
     cells: tuple[tuple[Expected, ...], ...]
@@ -72,6 +76,7 @@ class Holding:
     usual: float
     least: float
     own: dict[str, float | None]
+    doubted: NDArray[np.uint8] | None = None
 
     @property
     def weakest(self) -> Expected | None:
@@ -125,9 +130,13 @@ def holding(witnesses: Witnesses, cameras: Sequence[Camera], left_out: Mapping[s
             is_measured = _NEAREST_SHARE <= distance <= _FARTHEST_SHARE
             psnr = None if view is None else expected_of(view)
             is_within = is_measured and psnr is not None and psnr >= least
-            line.append(Expected(psnr, is_within, stands.between(at) if abs(distance - 1) <= _AMONG else None))
+            between = stands.between(at) if abs(distance - 1) <= _AMONG else None
+            line.append(Expected(psnr, is_within, between, view))
         cells.append(tuple(line))
-    return Holding(tuple(cells), axes, low, high, usual, least, own)
+    found = Holding(tuple(cells), axes, low, high, usual, least, own)
+    if found.weakest is None or found.weakest.view is None:
+        return found
+    return replace(found, doubted=witnesses.doubted(found.weakest.view))
 
 
 class _Stands:
@@ -209,6 +218,7 @@ def _colour(psnr: float | None) -> str:
 
 
 FEW_CAMERAS = 6
+_DOUBTED = "From there: red is likely below 20 dB, or was seen by no camera"
 
 
 def parts(holding: Holding, cameras: Sequence[Camera], held_out: Sequence[str]) -> list[str]:
@@ -232,6 +242,7 @@ def parts(holding: Holding, cameras: Sequence[Camera], held_out: Sequence[str]) 
         "<h2>Where it holds</h2>",
         f"<p>{escape(first + told)}</p>",
         drawn(holding, cameras, held_out),
+        *([] if holding.doubted is None else [figure([holding.doubted], _DOUBTED)]),
         f"<script type='application/json' id='where-it-holds'>{data}</script>",
     ]
 

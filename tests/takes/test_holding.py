@@ -16,7 +16,7 @@ from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.splats import Splats
 from decogs.rig.check.plan import plan_axes
 from decogs.takes.holding import Expected, _Stands, drawn, expected_psnr, holding, parts
-from decogs.takes.witness import Witnessed, Witnesses
+from decogs.takes.witness import Witnessed, Witnesses, doubtful_blocks
 from moving_walls import wall
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -108,6 +108,26 @@ def test_the_map_and_its_fence() -> None:
     assert [cell.is_within for row in lower.cells for cell in row] == [cell.is_within for cell in cells]
 
 
+def test_blocks_are_doubted_by_their_errors_and_where_nobody_saw() -> None:
+    error = np.full((40, 50), 1e-4)  # two rows and three columns of whole blocks
+    error[:16, 16:32] = 0.05
+    error[16:32, :16] = np.nan
+    error[16:22, 32:48] = np.nan  # a third that nobody saw
+    np.testing.assert_array_equal(doubtful_blocks(error), [[False, True, False], [True, False, True]])
+
+
+def test_the_picture_of_the_weakest_place_is_red_where_it_is_likely_wrong() -> None:
+    scene = wall()
+    pictures = recorded(scene)
+    spoilt = {name: picture.copy() for name, picture in pictures.items()}
+    for picture in spoilt.values():
+        picture[:20] = 255 - picture[:20]
+    right, wrong = (Witnesses(HEADER, scene, some).doubted(camera("", 0.5)).astype(int) for some in (pictures, spoilt))
+    reddened = (wrong[..., 0] - right[..., 0] > 20) & (wrong[..., 1] < right[..., 1])
+    assert reddened[:16].mean() > 0.5
+    assert not reddened[32:].any()
+
+
 def test_viewers_stand_upright_among_the_cameras() -> None:
     """Between two cameras, as high as these, looking where they do."""
     scene = wall()
@@ -130,7 +150,7 @@ def test_viewers_stand_upright_among_the_cameras() -> None:
 def test_the_map_is_drawn() -> None:
     scene = wall()
     found = holding(Witnesses(HEADER, scene, recorded(scene)), CAMERAS, {})
-    known = replace(found, cells=((Expected(30.0, True), Expected(None, False)),))
+    known = replace(found, doubted=None, cells=((Expected(30.0, True), Expected(None, False)),))
     drawing = drawn(known, CAMERAS, ["cam1"])
     assert drawing.count("<rect") == 2
     assert "30.0 dB, within the fence" in drawing
@@ -142,7 +162,7 @@ def test_the_map_is_drawn() -> None:
     nothing = Expected(None, False, ("cam0", "cam1"))
     _, told, *_ = parts(replace(known, cells=((weak, nothing),)), CAMERAS, [])
     assert "between cam0 and cam1: nothing is known there." in told
-    heading, told, _, data = parts(found, CAMERAS, [])
+    heading, told, _, _, data = parts(found, CAMERAS, [])
     assert heading == "<h2>Where it holds</h2>"
     read = json.loads(data.partition(">")[2].removesuffix("</script>"))
     rows, columns = len(read["within"]), len(read["within"][0])

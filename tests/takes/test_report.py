@@ -62,7 +62,7 @@ def test_the_page_holds_all_that_it_shows(stream: Path, tmp_path: Path, capsys) 
     assert "cam04*" in page
     assert not re.findall(r"(?:src|href)=['\"](?!data:)", page)
     pictures = re.findall(r"data:image/jpeg;base64,([^']+)", page)
-    assert len(pictures) == 9
+    assert len(pictures) == 10
     assert Image.open(io.BytesIO(base64.b64decode(pictures[0]))).size == (352, 264)
     assert base64.b64decode(re.findall(r"data:video/mp4;base64,([^']+)", page)[0])[4:8] == b"ftyp"
     again = tmp_path / "again.html"
