@@ -213,6 +213,9 @@ def verify_parser() -> Parser:
         '"Exactness", says what may differ elsewhere.',
     )
     parser.add_argument("--frame", type=whole_number, default=0, metavar="N", help="of a stream of closed segments")
+    parser.add_argument(
+        "--log", metavar="FILE", help="that decogs-encode --log wrote: says whose pictures are others in later frames"
+    )
     parser.add_quiet()
     parser.add_argument("stream", help="the .dgs file, as decogs-encode wrote it")
     parser.add_argument(
@@ -228,12 +231,14 @@ def _verify(parser: Parser, options: argparse.Namespace) -> int:
     from decogs.encoder.commands import encode_job, encode_options, encode_parser
     from decogs.encoder.output.progress import TerminalProgress
 
+    from .encode_log import recorded_of
     from .verifying import verify
 
     asked = encode_options(encode_parser(), [*options.encode, "-o", f"{options.stream}.again"])
     job, option_names = encode_job(asked)
     with in_option_names(option_names), TerminalProgress(None if options.quiet else sys.stderr) as observer:
-        verdict = verify(Path(options.stream), job, options.frame, observer, warn_as(parser))
+        recorded = None if options.log is None else recorded_of(Path(options.log))
+        verdict = verify(Path(options.stream), job, options.frame, observer, warn_as(parser), recorded)
     frames = frames_text(verdict.frames)
     if not verdict.differences:
         print_text(f"{printable(options.stream)}: {frames} are the same bytes, encoded again")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from decogs.formats.errors import UsageError
+
+from .encode_log import log_events, no_log
 
 
 @dataclass(frozen=True)
@@ -35,20 +35,16 @@ def read_spent(log: Path) -> Spent:
     wall = elapsed = cpu = key_cpu = 0.0
     frames = 0
     try:
-        with log.open(encoding="utf-8") as file:
-            for line in file:
-                event: dict[str, Any] = json.loads(line)
-                if event["event"] == "start":
-                    wall, elapsed = wall + elapsed, 0.0
-                elapsed = max(elapsed, float(event.get("elapsed", 0.0)))
-                if event["event"] == "frame" and not event["replayed"]:
-                    cpu += float(event["cpu_seconds"])
-                    key_cpu += float(event["cpu_seconds"]) if not frames else 0.0
-                    frames += 1
-    except OSError as error:
-        raise UsageError(f"`log` {log}: {error.strerror}; name a file that decogs-encode --log wrote") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UsageError(f"`log` {log}: is no log of decogs-encode --log") from error
+        for event in log_events(log):
+            if event["event"] == "start":
+                wall, elapsed = wall + elapsed, 0.0
+            elapsed = max(elapsed, float(event.get("elapsed", 0.0)))
+            if event["event"] == "frame" and not event["replayed"]:
+                cpu += float(event["cpu_seconds"])
+                key_cpu += float(event["cpu_seconds"]) if not frames else 0.0
+                frames += 1
+    except (ValueError, KeyError, TypeError) as error:
+        raise no_log(log) from error
     if not frames:
         raise UsageError(f"`log` {log}: has no frame that was trained")
     return Spent(wall + elapsed, cpu, key_cpu, frames)

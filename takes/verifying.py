@@ -25,6 +25,7 @@ from decogs.encoder.output.reports import FrameReport
 from decogs.encoder.output.resume import difference_of
 from decogs.formats.errors import UsageError
 from decogs.formats.files.regular_files import open_regular
+from decogs.formats.frames.ranges import frames_text
 from decogs.formats.stream.container import FRAME_KINDS, PacketKind, PacketReader
 from decogs.formats.system.callbacks import OnWarning
 
@@ -58,21 +59,31 @@ class _Contents:
         return settings
 
 
-def verify(stream: Path, job: EncodeJob, frame: int, observer: EncodeObserver, on_warning: OnWarning) -> Verdict:
+def verify(
+    stream: Path,
+    job: EncodeJob,
+    frame: int,
+    observer: EncodeObserver,
+    on_warning: OnWarning,
+    recorded: Mapping[int, Mapping[str, str]] | None = None,
+) -> Verdict:
     """Encodes again, as ``job`` asks, the closed segment that ``frame`` is in, or the first frames.
 
-    ``job``: as the stream was encoded; its output counts for nothing. Raises UsageError for a stream that was edited
-    since, and what `encode` raises.
+    ``job``: as the stream was encoded; its output counts for nothing. ``recorded``: digests of the pictures that it was
+    encoded from, by the rig's frame and camera; without them, only those of the first frame are known. Raises
+    UsageError for a stream that was edited since, and what `encode` raises.
     """
     kept = _read(stream)
     if _RECORDED not in kept.settings:
         raise UsageError(f"{stream}: was edited since it was encoded; verify the stream that was edited")
+    noting = _Noting(observer, None if job.closed else FIRST_FRAMES)
     with tempfile.TemporaryDirectory() as folder:
         if job.closed:
-            made, frames = _segment_again(kept, job, frame, Path(folder), observer, on_warning)
+            made, frames = _segment_again(kept, job, frame, Path(folder), noting, on_warning)
         else:
-            made, frames = _beginning_again(kept, job, Path(folder), observer, on_warning)
-    return Verdict(frames, tuple(_differences(kept, made, frames)))
+            made, frames = _beginning_again(kept, job, Path(folder), noting, on_warning)
+    others = _other_pictures(recorded or {}, noting.recorded, int(kept.header["first_frame"]))
+    return Verdict(frames, (*others, *_differences(kept, made, frames)))
 
 
 def _beginning_again(
@@ -80,7 +91,7 @@ def _beginning_again(
 ) -> tuple[_Contents, range]:
     """An encode of all frames, ended after the first ones: what it finds out about the rig depends on all."""
     output = folder / "again.dgs"
-    encode(replace(job, output=output), progress=_Ending(observer, FIRST_FRAMES), on_warning=on_warning)
+    encode(replace(job, output=output), progress=observer, on_warning=on_warning)
     return _read(output, scenes=kept.scenes), range(min(FIRST_FRAMES, len(kept.frames)))
 
 
@@ -109,6 +120,19 @@ def _segment_again(
         others = {at + offset: packet for at, packet in again.frames.items() if at or not begin}
         made = replace(again, frames={**made.frames, **others})
     return made, range(begin, end)
+
+
+def _other_pictures(
+    was: Mapping[int, Mapping[str, str]], now: Mapping[int, Mapping[str, str]], first: int
+) -> Iterator[str]:
+    """Which cameras recorded other pictures, but for the first frame's, of which the header tells."""
+    cameras: dict[str, list[int]] = {}
+    for number in sorted(set(was) & set(now) - {first}):
+        for name, digest in now[number].items():
+            if was[number].get(name) != digest:
+                cameras.setdefault(name, []).append(number - first)
+    for name, numbers in cameras.items():
+        yield f"camera {name} recorded other pictures of {frames_text(numbers)}"
 
 
 def _differences(kept: _Contents, made: _Contents, frames: range) -> Iterator[str]:
@@ -164,11 +188,13 @@ def _digest(state: State) -> bytes:
     return hashlib.sha256(np.ascontiguousarray(rows[np.lexsort(rows.T)] if len(rows) else rows).tobytes()).digest()
 
 
-class _Ending(EncodeObserver):
-    """Passes on what happens, and ends the encode after some frames, as Ctrl-C does."""
+class _Noting(EncodeObserver):
+    """Passes on what happens, notes digests of pictures by frame (``recorded``), and ends the encode after some frames,
+    as Ctrl-C does; None for all."""
 
-    def __init__(self, observer: EncodeObserver, frames: int) -> None:
+    def __init__(self, observer: EncodeObserver, frames: int | None) -> None:
         self._observer, self._left = observer, frames
+        self.recorded: dict[int, Mapping[str, str]] = {}
 
     def look_step(self, step: int, steps: int) -> None:
         self._observer.look_step(step, steps)
@@ -178,6 +204,8 @@ class _Ending(EncodeObserver):
 
     def frame(self, report: FrameReport) -> None:
         self._observer.frame(report)
-        self._left -= 1
-        if not self._left:
-            raise KeyboardInterrupt
+        self.recorded[report.frame] = report.recorded
+        if self._left is not None:
+            self._left -= 1
+            if not self._left:
+                raise KeyboardInterrupt

@@ -31,6 +31,7 @@ class FrameReport:
     first frame, a replayed one and a deferred one, which a time budget leaves untrained.
     ``left_out``: cameras without a usable picture of the frame, and why (`rig.pictures.dropouts`).
     ``dropped``: cameras that had no picture of the frame, or none that can be cut out, and why.
+    ``recorded``: digests of the pictures, by camera.
     ``rejected``: training made the pictures worse, so the scene was kept.
     ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".
     ``full_frame_change``: the masks found no change although most of the pictures had changed; every Gaussian was
@@ -57,6 +58,7 @@ class FrameReport:
     cut: bool = False
     scale: float = 1.0
     held_out_own_size_psnr: float | None = None
+    recorded: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

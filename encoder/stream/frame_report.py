@@ -60,6 +60,7 @@ class FrameReporter:
             cut=encoded.cut,
             scale=context.ingest.scale,
             held_out_own_size_psnr=own_size,
+            recorded=dict(frame.recorded),
         )
 
     def check_footage(self, encoded: Encoded, origin: str, watch: Stopwatch) -> None:

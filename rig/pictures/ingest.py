@@ -82,7 +82,7 @@ class RigFrame:
     """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order.
 
     ``own_size``: the held-out ones (H, W, 3) at their cameras' own size and with their lenses; none without a scale.
-    ``recorded``: in the first frame asked for, digests by camera of the training pictures as they were decoded.
+    ``recorded``: digests by camera of the training pictures as they were decoded.
     ``alpha``: of each training view, (H, W) float32 0..1, how much of a pixel the subject covers; none without mattes.
     ``held_out_alpha``: the same of the held-out views, None for those without a matte. ``plates``: of each training
     view the backdrop alone, as a picture, where a clean one was given; else none. ``screen_coloured_shares``: of each
@@ -232,7 +232,7 @@ class Ingest:
         given = self._mattes.given(names, start, stop, lose)
         # Not strict: a recording may end before.
         for (index, pictures), mattes in zip(shown, given, strict=False):
-            recorded = self._digests(pictures, mattes) if index == start else {}
+            recorded = self._digests(pictures, mattes)
             cut = [cut_out(name, picture, mattes.get(name)) for name, picture in zip(names, pictures, strict=True)]
             planes = [self._prepare(name, each.picture) for name, each in zip(names, cut, strict=True)]
             alphas = [self._alpha(name, each) for name, each in zip(names, cut, strict=True)]

@@ -150,7 +150,7 @@ def test_the_log_holds_one_json_object_per_event(frame_report: FrameReport, tmp_
     assert set(records[2]) == {field.name for field in fields(FrameReport)} == {
         "frame", "kind", "bytes", "gaussians", "selected", "training_psnr", "held_out_psnr", "seconds", "costs",
         "cpu_seconds", "replayed", "effects", "left_out", "dropped", "rejected", "uncorrected", "full_frame_change",
-        "cut", "scale", "held_out_own_size_psnr",
+        "cut", "scale", "held_out_own_size_psnr", "recorded",
     }  # fmt: skip
     assert records[1]["held_out_psnr"] is None
     assert records[3] == {"bytes": 5}

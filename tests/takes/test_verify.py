@@ -26,7 +26,7 @@ CLOSED = [*OPTIONS, "--segment", "2", "--closed"]
 def encoded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     options = OPTIONS if request.param == "open" else CLOSED
     path = tmp_path_factory.mktemp("verify") / "scene.dgs"
-    assert encode_main([str(RIG), "-o", str(path), *options]) == 0
+    assert encode_main([str(RIG), "-o", str(path), "--log", str(path.with_suffix(".log")), *options]) == 0
     return path, options
 
 
@@ -68,6 +68,12 @@ def test_what_is_another_is_said(encoded, tmp_path: Path, capsys: pytest.Capture
     shutil.copy(RIG / "cam05.mp4", rig / "cam06.mp4")
     assert verify_main(["-q", str(stream), str(rig), *options]) == 1
     assert "camera cam06 recorded another first picture\n" in capsys.readouterr().out
+    log = stream.with_suffix(".log")
+    assert verify_main(["-q", "--log", str(log), str(stream), str(rig), *options]) == 1
+    assert "camera cam06 recorded other pictures of frames 1 to 2\n" in capsys.readouterr().out
+    assert verify_main(["-q", "--log", str(log), str(stream), str(RIG), *options]) == 0
+    assert verify_main(["-q", "--log", str(stream), str(stream), str(RIG), *options]) == 2
+    assert "is no log of decogs-encode --log" in capsys.readouterr().err
     assert verify_main(["-q", str(stream), str(RIG), *options, "--seed", "3"]) == 1
     said = capsys.readouterr().out
     assert "was begun with seed 0, this encode has 3" in said
