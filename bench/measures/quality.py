@@ -17,6 +17,7 @@ from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rendering.views import render_view
 from decogs.formats.splats import Splats
 
+from .flip import flip
 from .metrics import BytePicture, Mask, aligned, psnr, square_error_map
 from .perceptual import NOT_INSTALLED, Distance
 from .regions import Regions
@@ -72,6 +73,20 @@ class FrameQuality:
         4,
         units=100,
         column="mtv",
+    )
+    flip: float | None = metric(
+        lambda shot: flip(shot.seen, shot.recorded),
+        "FLIP",
+        "over the whole picture, 0 is best",
+        4,
+        nothing=NOT_INSTALLED,
+        later=True,
+    )
+    psnr_change: float | None = metric(
+        lambda shot: shot.psnr_of_change(shot.regions.dynamic),
+        "change",
+        "PSNR in dB of the change from frame to frame over the dynamic region: what flickers or lags there",
+        later=True,
     )
     psnr_aligned: float | None = metric(
         lambda shot: psnr(square_error_map(aligned(shot.seen, shot.recorded), shot.recorded)),
@@ -147,7 +162,7 @@ def measure_scenes(
     reading_cpu: list[float] = []
     decoding: list[float] = []
     columns: list[NDArray[np.uint8]] = []
-    before: list[BytePicture | None] = [None] * len(views)
+    before: list[tuple[BytePicture, BytePicture] | tuple[None, None]] = [(None, None)] * len(views)
     for targets in zip(*(zip(view.recorded, view.mattes, strict=True) for view in views), strict=True):
         began, began_cpu = time.perf_counter(), cpu_seconds()
         splats = next(scenes)
@@ -161,8 +176,9 @@ def measure_scenes(
             image = render_view(header, splats, view.camera, scale=scale, threads=threads).image
             seconds, spent = time.perf_counter() - began, cpu_seconds() - began_cpu
             seen = to_8bit(image)
-            of_views.append(_quality(Shot(seen, target, before[number], view.regions, matte, distance)))
-            before[number] = seen
+            shown, recorded = before[number]
+            of_views.append(_quality(Shot(seen, target, shown, view.regions, matte, distance, recorded)))
+            before[number] = seen, target
             if number == 0:
                 rendering.append(seconds)
                 decoding.append(reading_cpu[-1] + spent)

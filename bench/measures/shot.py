@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from ..estimates import NOTHING
 from .metrics import BytePicture, Map, Mask, mean_over, psnr, square_error_map, ssim_map, total_variation
 from .perceptual import Distance
@@ -14,7 +16,8 @@ from .regions import Regions
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """``before``: as shown a frame earlier; None in the first. ``matte``: the subject's pixels, where the rig has one.
+    """``before``, ``recorded_before``: as shown and recorded a frame earlier; None in the first. ``matte``: the
+    subject's pixels, where the rig has one.
 
     ``distance``: LPIPS, where it is installed.
     """
@@ -25,6 +28,7 @@ class Shot:
     regions: Regions
     matte: Mask | None
     distance: Distance | None
+    recorded_before: BytePicture | None = None
 
     @cached_property
     def _errors(self) -> Map:
@@ -41,6 +45,16 @@ class Shot:
     def ssim(self, mask: Mask | None = None) -> float | None:
         """Its map's mean over the pixels of ``mask``, or all; None where it holds none."""
         return mean_over(self._likeness, mask)
+
+    def psnr_of_change(self, mask: Mask) -> float | None:
+        """dB, over the pixels of ``mask``, of what has changed since the frame before; None in the first."""
+        if self.before is None or self.recorded_before is None:
+            return None
+        shown, recorded = (
+            now.astype(np.float64) - before.astype(np.float64)
+            for now, before in ((self.seen, self.before), (self.recorded, self.recorded_before))
+        )
+        return psnr(((shown - recorded) / 255) ** 2, mask)
 
     def change(self, mask: Mask) -> float | None:
         """Total variation since the frame before, in 0..1; None in the first."""

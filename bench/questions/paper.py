@@ -80,7 +80,8 @@ QUESTIONS = (
         (*METHODS, HELD),
         (
             ("psnr", "psnr_dynamic", "psnr_static", "slope", "slope_dynamic", "static_change"),
-            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "mtv", "mtv_undisturbed"),
+            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "flip"),
+            ("psnr_change", "mtv", "mtv_undisturbed"),
             _COST,
         ),
     ),
