@@ -265,6 +265,11 @@ def view_parser() -> Parser:
         help="with -o: where the folder will be on the web; links to its page then show a picture everywhere",
     )
     parser.add_argument(
+        "--fence",
+        metavar="FENCE.JSON",
+        help="with -o: views stay where decogs-report -o FENCE.JSON found that it holds",
+    )
+    parser.add_argument(
         "--rig",
         metavar="RIG_DIR",
         help="the rig it was encoded from: shows what its cameras recorded beside their views",
@@ -425,6 +430,8 @@ def _view(options: argparse.Namespace) -> None:
         return
     if options.url is not None:
         raise UsageError("`url` is where a folder will be; write one with `output`")
+    if options.fence is not None:
+        raise UsageError("`fence` goes into a folder; write one with `output`, or open the page with ?fence=ADDRESS")
     from .reading.following import DEFAULT_IDLE
     from .viewing.notebook import view
 
@@ -453,6 +460,7 @@ def _write_site(options: argparse.Namespace) -> None:
             options.output,
             overwrite=options.overwrite,
             url=options.url,
+            fence=options.fence,
             on_megabytes=on_megabytes,
         )
     print_text(f"{printable(options.output)}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")

@@ -22,7 +22,7 @@ from .take_file import Take
 
 CURRENT, MADE, FAILED, LEFT_OUT, DUE = "up to date", "made", "failed", "left out", "due"
 _READ_BY = {"--masks", "--background-plate", "--ignore", "--keyframe", "--audio", "--sync", "--camera", "--subject"}
-_READ_BY |= {"--intrinsics"}
+_READ_BY |= {"--intrinsics", "--fence"}
 """Options whose values may name what is read."""
 _THREADS = "--threads"
 _OF_RIGS = ("decogs-encode", "decogs-sync")
@@ -63,18 +63,18 @@ class Making:
     def plan(self) -> list[Outcome]:
         """What would be done, and why; a step is due, too, if one is that it reads from."""
         due: set[str] = set()
-        outcomes = []
-        for step in self._take.steps:
+        outcomes = {}
+        for step in _in_order(self._take.steps):
             why = self._why_due(step, self._fingerprint(step), due)
             if why:
                 due.add(step.place)
-            outcomes.append(Outcome(step, DUE if why else CURRENT, why, size=0 if why else self._size(step)))
-        return outcomes
+            outcomes[step.name] = Outcome(step, DUE if why else CURRENT, why, size=0 if why else self._size(step))
+        return [outcomes[step.name] for step in self._take.steps]
 
     def make(self, jobs: int) -> list[Outcome]:
         """Does what is due, ``jobs`` steps at a time. A step that fails leaves out those that read from it, alone."""
         outcomes: dict[str, Outcome] = {}
-        left = list(self._take.steps)
+        left = _in_order(self._take.steps)
         with self._records.locked(), ThreadPoolExecutor(jobs) as pool:
             running: dict[Future[Outcome], Step] = {}
             while left or running:
@@ -94,7 +94,7 @@ class Making:
 
     def _why_due(self, step: Step, fingerprint: str, due: Collection[str] = ()) -> str:
         """Why a step has to be done; empty if it has not. ``due``: places of what will be made before."""
-        if any(name in due for name in step.inputs):
+        if any(name in due for name in (*step.inputs, *_named(step))):
             return "what it reads will be another"
         made = self._records.made.get(step.name)
         if made is None:
@@ -193,16 +193,33 @@ class Making:
         return sum(file.stat().st_size for file in files if file.is_file())
 
 
+def _in_order(steps: Sequence[Step]) -> list[Step]:
+    """As they are, but each behind those that it reads from. Raises UsageError where two read each other."""
+    left, ordered = list(steps), list[Step]()
+    while left:
+        free = [step for step in left if not any(_reads(step, other) for other in left if other is not step)]
+        if not free:
+            raise UsageError(f"{left[0].name} and {left[-1].name} read what the other makes; take one of both out")
+        ordered.append(free[0])
+        left.remove(free[0])
+    return ordered
+
+
 def _reads(step: Step, other: Step) -> bool:
-    return other.output.rstrip("/") in step.inputs
+    return other.output.rstrip("/") in (*step.inputs, *_named(step))
+
+
+def _named(step: Step) -> list[str]:
+    """What a step reads besides its inputs, as far as its words name it."""
+    read = _READ_BY | ({"--log", "--against"} if step.command == "decogs-report" else set())
+    told = [word.partition("=") for word in step.words]
+    return [value for option, _, value in told if option in read and value]
 
 
 def _read_by(step: Step, folder: Path) -> list[str]:
     """The files and folders that a step reads, as far as its words name them."""
-    told = [word.partition("=") for word in step.words]
-    read = _READ_BY | ({"--log", "--against"} if step.command == "decogs-report" else set())
-    named = [value for option, _, value in told if option in read and value and (folder / value).exists()]
-    rigs = [value for option, _, value in told if option == "--rig"]
+    named = [value for value in _named(step) if (folder / value).exists()]
+    rigs = [value for option, _, value in (word.partition("=") for word in step.words) if option == "--rig"]
     inputs = list(step.inputs)
     if step.command in _OF_RIGS:
         rigs.append(inputs.pop(0))

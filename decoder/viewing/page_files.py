@@ -12,6 +12,7 @@ from decogs.formats.errors import UsageError
 PAGE = Path(__file__).parent / "page"
 INDEX = "index.html"
 POSTER = "poster.jpg"
+FENCE = "fence.json"
 
 MEDIA_TYPES = {
     ".css": "text/css; charset=utf-8",
@@ -69,13 +70,15 @@ def page_files(
     poster: bytes | None = None,
     subject: bool = False,
     url: str | None = None,
+    fence: bytes | None = None,
 ) -> list[PageFile]:
     """The page that plays the stream of this file name beside it; index.html is last.
 
     ``follow``: a stream that still grows. ``recordings``: where the pictures of its rig lie, a template.
     ``title``: what it calls itself. ``poster``: a JPEG that is shown until somebody plays, and, with title or file
     name, in links to the page; of a ``subject`` only in these, since it would hide what a page has behind it. ``url``:
-    where the page's folder will be, since others find the picture of a link only by its whole address.
+    where the page's folder will be, since others find the picture of a link only by its whole address. ``fence``: the
+    map, JSON, of where views stay.
     Raises UsageError where the page was not built, or has a file of that name, and for a ``url`` that is none.
     """
     folder = "./" if url is None else _folder_address(url)
@@ -86,9 +89,12 @@ def page_files(
         raise UsageError(f"{PAGE}: the built player is missing; install decogs anew, or run make player") from None
     if poster is not None:
         files[POSTER] = poster
+    if fence is not None:
+        files[FENCE] = fence
     if stream in (*files, INDEX):
         raise UsageError(f"{stream}: the player's page has a file of that name; rename the stream")
     source = f'data-src="{escape(address_of(stream))}"' + (" follow" if follow else "")
+    source += "" if fence is None else f' fence="./{FENCE}"'
     source += "" if recordings is None else f' recordings="{escape(recordings)}"'
     if poster is not None:
         source += "" if subject else f' poster="./{POSTER}"'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from ..output.pictures import to_8bit
 from ..reading.stream import open_stream
 from ..rendering.views import render_view
 from .notebook import check_header
-from .page_files import INDEX, POSTER, page_files
+from .page_files import FENCE, INDEX, POSTER, page_files
 from .recorded_pictures import jpeg
 
 _MEGABYTE = 1_000_000
@@ -38,14 +39,16 @@ def write_site(
     *,
     overwrite: bool = False,
     url: str | None = None,
+    fence: str | os.PathLike[str] | None = None,
     on_megabytes: OnProgress | None = None,
 ) -> SiteReport:
     """Writes the page, its poster and a copy of the stream into ``folder``, which appears when it is whole.
 
     An existing folder is written into when it is empty, or when this made it and nothing else was put there; any other
     one with ``overwrite``, where files of other names stay. ``url``: where the folder will be on the web, for the
-    picture beside links to it. Raises UsageError for what cannot be written, or is read, StreamError for what is no
-    readable stream, OSError when the file cannot be read.
+    picture beside links to it. ``fence``: a map of where the scene holds, in which views stay. Raises UsageError for
+    what cannot be written, or is read, StreamError for what is no readable stream, OSError when the file cannot be
+    read.
     """
     source, target = Path(stream), Path(folder)
     with open_regular(source) as opened:
@@ -53,10 +56,11 @@ def write_site(
         check_header(source, follow=False)
         header, poster = _shown_first(source)
         title, subject = header.presentation.title, header.subject
-        files = page_files(source.name, title=title, poster=poster, subject=subject, url=url)
-        # One that was written before may have had a poster.
-        names = {file.name for file in files} | {source.name, POSTER}
-        check_outputs([Output("output", target / name) for name in names], files_read(stream=source))
+        held = None if fence is None else _fence(Path(fence))
+        files = page_files(source.name, title=title, poster=poster, subject=subject, url=url, fence=held)
+        # One that was written before may have had a poster, or a fence.
+        names = {file.name for file in files} | {source.name, POSTER, FENCE}
+        check_outputs([Output("output", target / name) for name in names], files_read(stream=source, fence=fence))
         _check_folder(target, names, overwrite)
         with staged_files(target) as staging:
             copied = _copy(opened, staging / source.name, on_megabytes)
@@ -83,6 +87,19 @@ def _shown_first(stream: Path) -> tuple[StreamHeader, bytes | None]:
         except (StreamError, StopIteration):
             return header, None
         return header, jpeg(to_8bit(render_view(header, frame.splats, view, background=behind, undistorted=True).image))
+
+
+def _fence(path: Path) -> bytes:
+    """A file that says where views stay; raises UsageError for another one."""
+    with open_regular(path) as file:
+        data = file.read(_MEGABYTE)
+    try:
+        is_fence = "within" in json.loads(data)
+    except (ValueError, TypeError):
+        is_fence = False
+    if not is_fence:
+        raise UsageError(f"`fence` {path}: is no map of where a scene holds; decogs-report -o fence.json writes one")
+    return data
 
 
 def _check_folder(folder: Path, names: set[str], overwrite: bool) -> None:

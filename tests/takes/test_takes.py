@@ -36,6 +36,9 @@ threads = 1
 operations = ["clean --opacity 0.02"]
 
 [deliver.page]
+fence = "take/fence.json"
+
+[deliver.fence]
 
 [deliver.report]
 
@@ -52,7 +55,7 @@ kind = "exr"
 view = "cam02"
 scale = 0.5
 """
-STEPS = ["encode", "edit", "page", "report", "poster", "turn", "frames"]
+STEPS = ["encode", "edit", "page", "fence", "report", "poster", "turn", "frames"]
 
 
 def new_folder(folder: Path) -> Path:
@@ -100,6 +103,8 @@ def test_all_is_made_and_nothing_twice(undisturbed: Path, made: Path, making) ->
     there = files(undisturbed)
     assert {"encoded.dgs", "scene.dgs", "page/index.html", "poster.png", "films/turn.mp4"} <= set(there)
     assert "frames/frame_0001.exr" in there
+    assert there["page/fence.json"] == there["fence.json"]
+    assert b' fence="./fence.json"' in there["page/index.html"]
     assert not list(undisturbed.parent.rglob(f"{STAGING}*"))
     assert making(made) == (0, dict.fromkeys(STEPS, "up to date"))
     assert files(made) == there
@@ -108,9 +113,9 @@ def test_all_is_made_and_nothing_twice(undisturbed: Path, made: Path, making) ->
 @pytest.mark.parametrize(
     ("old", "new", "again"),
     [
-        ("--opacity 0.02", "--opacity 0.9", ["edit", "page", "report", "poster", "turn", "frames"]),
+        ("--opacity 0.02", "--opacity 0.9", ["edit", "page", "fence", "report", "poster", "turn", "frames"]),
         ('view = "cam00"', 'view = "cam03"', ["poster"]),
-        ("Take 3", "Take 4", ["edit", "page", "report", "poster", "turn", "frames"]),
+        ("Take 3", "Take 4", ["edit", "page", "fence", "report", "poster", "turn", "frames"]),
         ("scale = 0.5", "scale = 0.25", ["frames"]),
     ],
 )
@@ -125,6 +130,15 @@ def test_what_changes_is_made_again_with_what_depends_on_it(
     assert code == 0
     assert done == again
     assert making(made)[1] == dict.fromkeys(STEPS, "up to date")
+
+
+def test_steps_that_read_each_other_are_refused(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made.write_text(
+        TAKE + '[deliver.b]\nkind = "page"\nfence = "take/c"\n[deliver.c]\nkind = "page"\nfence = "take/b"\n'
+    )
+    for words in [], ["--dry-run"]:
+        assert make_main([str(made), *words]) == 2
+        assert "b and c read what the other makes" in capsys.readouterr().err
 
 
 def test_what_comes_out_with_the_same_bytes_makes_nothing_else_anew(made: Path, making) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from decogs.decoder import decode
 from decogs.decoder.commands import decode_main
-from decogs.decoder.reading.following import follow_stream
+from decogs.decoder.reading.following import GrowingStream, follow_stream
 from decogs.decoder.reading.stream import open_stream
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.files.outputs import GrowingFile
@@ -271,11 +271,21 @@ def test_a_search_ends_when_nothing_more_comes(small_stream: Any, tmp_path: Path
     assert "nothing more came, and no end packet; 2 pictures were written" in said[1]
 
 
-def test_a_file_that_is_cut_back_while_damage_is_searched_past_is_an_error(small_stream: Any, tmp_path: Path) -> None:
+def test_a_file_that_is_cut_back_while_damage_is_searched_past_is_an_error(
+    small_stream: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data, part = small_stream.path.read_bytes(), tmp_path / "new.dgs.part"
     part.write_bytes(damaged_in_frame(2, data)[: ends(data)[3]])
+    all_read, check = threading.Event(), GrowingStream._check_not_cut
+
+    def checked(stream: GrowingStream) -> None:
+        check(stream)
+        if stream._reader.bytes_read == ends(data)[3]:
+            all_read.set()
+
+    monkeypatch.setattr(GrowingStream, "_check_not_cut", checked)
     follower = Follower(tmp_path / "new.dgs", tmp_path / "live")
-    wait_for((tmp_path / "live" / "cam00_000001.png").exists)
+    wait_for(all_read.is_set)
     os.truncate(part, ends(data)[3] - 1)
     with pytest.raises(StreamError, match=r"new\.dgs: the file was cut back meanwhile; follow it again .*truncated"):
         follower.end()

@@ -427,6 +427,24 @@ def test_a_notebook_shows_the_page_inline(small_stream: Any) -> None:
     shown.close()
 
 
+def test_a_fence_lies_beside_the_page(small_stream: Any, tmp_path: Path, capsys: Any) -> None:
+    site, fence = tmp_path / "site", tmp_path / "map.json"
+    fence.write_text('{"within": [[true]]}')
+    arguments = [str(small_stream.path), "--fence", str(fence)]
+    assert view_main([*arguments, "-o", str(site)]) == 0
+    assert (site / "fence.json").read_bytes() == fence.read_bytes()
+    assert ' fence="./fence.json"' in (site / "index.html").read_text()
+    assert view_main([str(small_stream.path), "-o", str(site), "--overwrite"]) == 0
+    assert "fence" not in (site / "index.html").read_text()
+    assert view_main(arguments) == 2
+    assert "--fence goes into a folder" in capsys.readouterr().err
+    for other in "{}", "[", "7":
+        fence.write_text(other)
+        assert view_main([*arguments, "-o", str(tmp_path / "new")]) == 2
+        assert "is no map of where a scene holds" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
 def test_a_site_holds_the_page_and_the_stream(small_stream: Any, tmp_path: Path, capsys: Any) -> None:
     site = tmp_path / "deep" / "site"
     assert view_main([str(small_stream.path), "-o", str(site)]) == 0
