@@ -31,9 +31,9 @@ _LEAST_SEEN = 0.25
 """Of a view, below which nobody can say anything of it."""
 _PRIOR = 1.0
 """Left-out cameras, whose mean counts as much as what other rigs say."""
-_FENCE_DB = 1.5
-"""So far below what is usual among the cameras' own places the fence still admits a view: 2.5 dB would be good, a
-dB is for errors."""
+_FENCE_DB = 1.3
+"""So far below what is usual among the cameras' own places the fence still admits a view: 2.5 dB would be good, the
+rest is for errors."""
 _NEAREST_SHARE, _FARTHEST_SHARE = 0.6, 1.4
 """Of the nearest cameras' distance from what they see: nearer and farther, nothing was measured."""
 _AMONG = 0.15
