@@ -5,18 +5,18 @@ A place is seen where a camera that was trained on sees a surface as far away as
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.header.header import StreamHeader
-from decogs.formats.cameras import Camera, as_pinhole, scale_camera
+from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.colours.srgb import Colour
 from decogs.formats.splats import FloatArray, Splats
 
-from ..cameras.lens import Redistortion
+from ..cameras.lens import Redistortion, Undistortion
 from ..output.exr import coverage
 
 if TYPE_CHECKING:
@@ -33,12 +33,30 @@ _SPECKS = 5
 """Pixels across which single ones follow their neighbours."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Eye:
+    """A camera as training saw it: a pinhole, and which pixels (H, W) of its picture were ``recorded``."""
+
+    pinhole: Camera
+    recorded: Flags
+
+    @classmethod
+    def of(cls, camera: Camera) -> _Eye:
+        import cv2
+
+        plan = Undistortion(camera)
+        pinhole = _small(plan.pinhole)
+        size = pinhole.width, pinhole.height
+        recorded = cv2.resize(plan.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        return cls(pinhole, np.asarray(recorded) > 0)
+
+
 class Sight:
     """What the cameras of a stream's rig that were trained on see of its frames."""
 
     def __init__(self, header: StreamHeader, threads: int) -> None:
         self._threads, self._of_subject = threads, header.subject
-        self._cameras = [_small(as_pinhole(each)) for each in header.cameras if each.name not in header.held_out]
+        self._eyes = [_Eye.of(each) for each in header.cameras if each.name not in header.held_out]
         self._splats: Splats | None = None
         self._depths: list[FloatArray] = []
 
@@ -65,13 +83,14 @@ class Sight:
         import cv2
 
         if splats is not self._splats:
-            self._splats, self._depths = splats, [self._depth(splats, camera) for camera in self._cameras]
+            self._splats = splats
+            self._depths = [np.where(eye.recorded, self._depth(splats, eye.pinhole), 0) for eye in self._eyes]
         camera = _small(pinhole)
         depth = self._depth(splats, camera)
         points = places(camera, depth)
         seen = np.zeros(depth.shape, bool)
-        for own, surface in zip(self._cameras, self._depths, strict=True):
-            seen |= seen_by(own, surface, points, _SAME_DEPTH)[0]
+        for eye, surface in zip(self._eyes, self._depths, strict=True):
+            seen |= seen_by(eye.pinhole, surface, points, _SAME_DEPTH)[0]
         smooth = cv2.medianBlur((seen & (depth > 0)).astype(np.uint8), _SPECKS).astype(np.float32)
         return np.asarray(cv2.resize(smooth, (pinhole.width, pinhole.height), interpolation=cv2.INTER_LINEAR))
 

@@ -79,7 +79,7 @@ class _Recording:
         payload, before = split_payload(packet, self._header.corrected), self._state
         self._state = reconstruct_frame(before, payload, self._header, first=self._first).state
         stay = np.isin(self._base.ids, self._state.ids, assume_unique=True)
-        if packet.kind == PacketKind.KEY and np.mean(stay) < 0.5:
+        if packet.kind == PacketKind.KEY and 2 * stay.sum() < len(stay):
             self._base, self._movers = self._new_base()
         else:
             self._base = self._movers.joined(self._base, before, self._state)

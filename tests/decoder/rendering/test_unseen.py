@@ -103,6 +103,20 @@ def test_over_a_background_and_through_a_lens(tmp_path: Path) -> None:
     assert 0.3 < blue.mean() < 0.7
 
 
+def test_a_lens_saw_what_it_recorded(tmp_path: Path) -> None:
+    """Which is more than a pinhole of its size: a view from its place has all of it, and not what lies beyond."""
+    bent = replace(camera("bent", 0.0), distortion_model="opencv", distortion=(-0.12, 0.0, 0.0, 0.0, 0.0))
+    stream = stream_of(tmp_path / "a.dgs", (bent,))
+    assert (taken(stream, "bent", unseen="transparent")[2:-2, 2:-2, 3] > 250).mean() > 0.99
+    wide = replace(camera("free", 0.0), fx=40.0, fy=40.0)
+    alpha = taken(stream, wide, unseen="transparent")[40, :, 3]
+    straight = stream_of(tmp_path / "b.dgs", (camera("straight", 0.0),))
+    narrower = taken(straight, wide, unseen="transparent")[40, :, 3]
+    # 60 columns of the pinhole's; the lens bends .75 from .83.
+    assert (narrower > 250).sum() == pytest.approx(60, abs=1)
+    assert (alpha > 250).sum() == pytest.approx(66, abs=2)
+
+
 def test_layouts_show_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stream = stream_of(tmp_path / "a.dgs", (camera("middle", 0.0),))
     words = [str(stream), "--view", "middle", "-o", str(tmp_path / "o.png"), "--unseen", "transparent"]
