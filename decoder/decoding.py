@@ -90,8 +90,8 @@ def decode(
     ``subject``: a folder of mattes; only Gaussians in their hull are shown (``decogs.decoder.subject.subject``).
     ``undistorted``: without the rig camera's lens distortion. ``drift_free``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
-    it recorded. ``unseen``: "transparent" leaves out what no camera that was trained on has seen, in an output that can
-    hold alpha by alpha, unless a ``background`` is given. ``strict``, ``max_memory`` (bytes) and ``layer`` are those of
+    it recorded. ``unseen``: "transparent" leaves out what no camera that was trained on has seen: by alpha, where the
+    output can hold it and no ``background`` is given. ``strict``, ``max_memory`` (bytes) and ``layer`` are those of
     ``open_stream``: without ``strict``, damaged frames show the last good one. ``layout``: a picture of several
     renderings (``rendering.layouts``).
     ``video`` says how a video is encoded, and what is heard instead of the stream's own sound. An ``output`` that is an

@@ -110,7 +110,7 @@ def pictures(
     if show.shows_unseen:
         yield from drawn
         return
-    sight = Sight(header, show.threads)
+    sight = Sight(header, show.threads, show.max_memory)
     for shot, picture in drawn:
         plan = _plan(header, shot, show)
         yield shot, sight.left_out(shot.frame.splats, plan, picture, None if show.cut_out else show.over(header))

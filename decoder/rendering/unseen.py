@@ -18,6 +18,7 @@ from decogs.formats.splats import FloatArray, Splats
 
 from ..cameras.lens import Redistortion, Undistortion
 from ..output.exr import coverage
+from .views import max_pairs
 
 if TYPE_CHECKING:
     from ..rasterise import Rendering
@@ -54,8 +55,8 @@ class _Eye:
 class Sight:
     """What the cameras of a stream's rig that were trained on see of its frames."""
 
-    def __init__(self, header: StreamHeader, threads: int) -> None:
-        self._threads, self._of_subject = threads, header.subject
+    def __init__(self, header: StreamHeader, threads: int, max_memory: int | None = None) -> None:
+        self._header, self._threads, self._max_memory = header, threads, max_memory
         self._eyes = [_Eye.of(each) for each in header.cameras if each.name not in header.held_out]
         self._splats: Splats | None = None
         self._depths: list[FloatArray] = []
@@ -73,7 +74,7 @@ class Sight:
         if background is not None:
             behind = np.asarray(background, np.float32)
             return Rendering(behind + seen[..., None] * (picture.image - behind), picture.alpha * seen, depth)
-        if self._of_subject:
+        if self._header.subject:
             return Rendering(picture.image * seen[..., None], picture.alpha * seen, depth)
         alpha = coverage(picture.alpha) * seen
         return Rendering(picture.image * alpha[..., None], alpha, depth)
@@ -97,7 +98,8 @@ class Sight:
     def _depth(self, splats: Splats, camera: Camera) -> FloatArray:
         from ..rasterise import render
 
-        return render(splats, camera, threads=self._threads).depth
+        pairs = max_pairs(self._header, len(splats), Redistortion(camera), self._max_memory)
+        return render(splats, camera, threads=self._threads, max_pairs=pairs).depth
 
 
 def _small(pinhole: Camera) -> Camera:
