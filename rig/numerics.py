@@ -37,8 +37,11 @@ def tukey(residuals: NDArray[F], reach: float) -> NDArray[F]:
     return np.asarray(np.square(np.maximum(1 - np.square(residuals / residuals.dtype.type(reach)), 0)))
 
 
-def nearest(points: NDArray[np.float32], count: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Rows (P, count) of the ``count`` points nearest to each (P, 3), nearest first, and their squared distances."""
+def nearest(
+    points: NDArray[np.float32], count: int, places: NDArray[np.float32] | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Rows (P, count) of the ``count`` points (N, 3) nearest to each of ``places`` (P, 3), by default the points
+    themselves, nearest first, and their squared distances."""
     tree = cv2.flann.Index(points, {"algorithm": 4, "leaf_max_size": 10})  # a single k-d tree, exact
-    rows, squared = tree.knnSearch(points, count, params={"checks": -1})
+    rows, squared = tree.knnSearch(points if places is None else places, count, params={"checks": -1})
     return np.asarray(rows, np.int32), np.asarray(squared, np.float32)

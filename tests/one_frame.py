@@ -61,7 +61,6 @@ def train(
     selected: Any,
     pictures: Any,
     masks: Any,
-    motion: Any,
     *,
     frame: int,
     settings: FrameSettings | None = None,
@@ -73,7 +72,7 @@ def train(
         settings = FrameSettings() if context is None else context.settings.frame
     for view in () if context is None else context.static_views:
         view.detach(np.flatnonzero(selected))
-    return trainer.train(FrameInput(frame, scene, selected, light_only, pictures, masks, motion, settings, **effort))
+    return trainer.train(FrameInput(frame, scene, selected, light_only, pictures, masks, settings, **effort))
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,6 @@ class Case:
             "selected": self.selected,
             "pictures": self.pictures,
             "masks": self.masks(everywhere=everywhere),
-            "motion": np.zeros_like(self.scene.means),
             "frame": 1,
         }
         return train(trainer, **(given | other))

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.deltas import apply_delta
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.scene.lattice import dequantise
 from decogs.codec.scene.state import State, same_values
-from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.splats import Splats
 from decogs.formats.stream.container import Packet, PacketKind
 
 from ..settings.frame import SignificanceSettings
@@ -75,14 +73,6 @@ class Scene:
     def before_cut(self, frame: int, first_id: int) -> Scene:
         """The scene as the one before a cut in ``frame``, whose ids begin with ``first_id`` unless that is taken."""
         return replace(self, state=replace(self.state, frame=frame - 1, next_id=max(self.state.next_id, first_id)))
-
-    def displacements(self, before: State) -> FloatArray:
-        """How far every Gaussian moved since ``before``, (N, 3) world units; 0 for new ones."""
-        motion = np.zeros((len(self.state), 3), np.float32)
-        _, was, now = np.intersect1d(before.ids, self.state.ids, assume_unique=True, return_indices=True)
-        steps = self.state.means[now].astype(np.float64) - before.means[was]
-        motion[now] = steps * np.asarray(self.header.lattice.means)
-        return motion
 
     def is_left_by(self, packet: Packet, after: State) -> bool:
         """Whether the next packet is another scene's keyframe: the state ``after`` it has younger Gaussians only."""

@@ -15,7 +15,6 @@ from ..coding.time_control import TimeControl
 from ..input.compensation import CorrectionMemory
 from ..stopwatch import Stopwatch
 from ..training.method import TrainedFrame
-from ..training.warm_start import Motion
 from .context import Context
 from .events import PendingFrame
 from .first_look import Looking, Upcoming, begin_looking
@@ -68,7 +67,6 @@ def next_memory(
         memory,
         masks=masks,
         looking=looking,
-        motion=_motion_after(frame, plan, scene),
         corrections=_corrections_after(context, frame, plan, scene, watch),
         rate=None if memory.rate is None else memory.rate.after(written.packet.kind, written.packet.size),
         # Last, since what comes before takes time. That of an earlier encode is not known.
@@ -117,15 +115,6 @@ def _masks_after(
         rendered = frame.memory.views.pictures(scene.splats) if is_compared else None
         return _trained_masks(context, frame, plan, rendered)
     return frame.memory.masks.advance(frame.pictures, plan.masks, context.settings.frame.masks, deferred=plan.deferred)
-
-
-def _motion_after(frame: PendingFrame, plan: FramePlan, scene: Scene) -> Motion:
-    """Velocities: those of a deferred frame continue."""
-    if frame.restarted:
-        # The displacement since the first frame is no velocity.
-        return Motion.at_rest(len(scene.state))
-    motion = frame.memory.motion
-    return motion.defer() if plan.deferred else motion.move(scene.displacements(frame.scene.state))
 
 
 def _corrections_after(

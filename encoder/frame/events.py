@@ -84,7 +84,7 @@ def what_happened(context: Context, frame: PendingFrame, watch: Stopwatch) -> Pe
             if _is_cut(context, frame, changes):
                 return replace(frame, kind=Kind.CUT, changes=changes)
             if memory.before_flash is None and may_be_flash(memory.masks, frame.pictures, settings.frame.masks):
-                before = BeforeFlash(frame.recorded.index, scene.state, memory.motion, memory.masks)
+                before = BeforeFlash(frame.recorded.index, scene.state, memory.masks)
                 memory = replace(memory, before_flash=before)
     return replace(frame, kind=kind, memory=memory, changes=changes)
 
@@ -96,9 +96,7 @@ def _after_flash(frame: PendingFrame, context: Context) -> PendingFrame:
         return frame
     frames = frame.recorded.index - kept.since
     if matches(kept.masks, frame.pictures, context.settings.frame.masks):
-        # What moved before the flash has moved on.
-        motion = kept.motion.defer(frames)
-        memory = replace(memory, motion=motion, masks=kept.masks, before_flash=None)
+        memory = replace(memory, masks=kept.masks, before_flash=None)
         return replace(frame, scene=frame.scene.roll_back(kept.state), memory=memory, is_return=True)
     if frames > MAX_FLASH_FRAMES:
         return replace(frame, memory=replace(memory, before_flash=None))

@@ -17,7 +17,6 @@ from ..coding.time_control import TimeControl
 from ..input.compensation import CorrectionMemory
 from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
-from ..training.warm_start import Motion
 from .context import Context
 from .first_look import FirstLook, Looking
 from .segment_starts import SceneStart, SegmentStarts
@@ -25,11 +24,10 @@ from .segment_starts import SceneStart, SegmentStarts
 
 @dataclass(frozen=True)
 class BeforeFlash:
-    """The scene, its motion and the masks before the frame ``since``, which changed nearly everything."""
+    """The scene and the masks before the frame ``since``, which changed nearly everything."""
 
     since: int
     state: State
-    motion: Motion
     masks: MaskMemory
 
 
@@ -44,7 +42,6 @@ class Memory:
 
     trainer: FrameTrainer
     masks: MaskMemory
-    motion: Motion
     corrections: CorrectionMemory | None
     rate: RateControl | None
     time: TimeControl | None
@@ -93,7 +90,6 @@ def new_memory(
             subject=bool(start.frame.alpha),
             threads=context.threads,
         ),
-        Motion.at_rest(len(scene.state)),
         start.corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,

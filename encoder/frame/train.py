@@ -13,7 +13,6 @@ from ..coding.scene import Scene
 from ..stopwatch import Stopwatch
 from ..training.method import FrameInput, TrainedFrame
 from ..training.schedule import UNKNOWN_PACE
-from ..training.warm_start import Motion
 from .context import Context
 from .events import Kind, PendingFrame
 from .plan import FramePlan, find_selected
@@ -40,7 +39,7 @@ def train_frame(context: Context, frame: PendingFrame, plan: FramePlan, watch: S
         with watch.stage("commit"):
             scene = before.with_changes(trained, plan.settings.significance)
             frame.memory.views.update(scene.splats, trained.kept, before.state.ids, scene.state.ids)
-        again = replace(frame, scene=scene, memory=replace(frame.memory, motion=Motion.at_rest(len(scene.state))))
+        again = replace(frame, scene=scene)
         plan = replace(plan, selected=find_selected(context, again, plan.masks, watch))
         trained = _train(context, again, plan, watch)
     # What an earlier round has changed stays: then the frame is not rejected.
@@ -57,7 +56,6 @@ def _train(context: Context, frame: PendingFrame, plan: FramePlan, watch: Stopwa
         plan.light_only,
         frame.pictures,
         plan.masks,
-        memory.motion.predict(),
         plan.settings,
         context.stopping(deadline),
         _stage(context, frame, plan),

@@ -17,13 +17,12 @@ from decogs.formats.rigs.timeline import RowTimes
 from decogs.formats.splats import FloatArray
 from decogs.rig.parallel import Each
 from decogs.rig.pictures.ingest import RigFrame, View
+from decogs.rig.pictures.optical_flow import MAX_APART_PIXELS, flow_and_back
 
 _MIN_CHANGE = 6 / 255
 """Of a pixel's colour from frame to frame from which something moves there, above usual noise."""
 _GROWN_PIXELS = 9
 """Pixels around what changes that are warped with it: objects are as changed at their edges as flat inside."""
-_MAX_APART = 1.0
-"""Pixels by which flow there and back may miss where it began; what it misses by more is covered or uncovered."""
 
 
 def at_one_instant(
@@ -60,8 +59,10 @@ def _at_one_instant(
     near = cv2.blur(cv2.dilate(moving, size).astype(np.float32), (_GROWN_PIXELS // 2, _GROWN_PIXELS // 2))
     height, width = moving.shape
     rows, columns = np.mgrid[:height, :width].astype(np.float32)
-    flow = _sure_flow(picture, later, rows, columns)
-    shift = flow * (near * np.broadcast_to(late, moving.shape))[..., None].astype(np.float32)
+    there, back = flow_and_back(picture.mean(axis=0), later.mean(axis=0), smooth=True)
+    returned = cv2.remap(back, columns + there[..., 0], rows + there[..., 1], cv2.INTER_LINEAR)
+    is_sure = np.hypot(*np.moveaxis(there + returned, -1, 0)) <= MAX_APART_PIXELS
+    shift = there * (is_sure * near * np.broadcast_to(late, moving.shape))[..., None].astype(np.float32)
     across, down = columns + shift[..., 0], rows + shift[..., 1]
 
     def taken(plane: FloatArray) -> FloatArray:
@@ -69,14 +70,3 @@ def _at_one_instant(
         return np.where(near > 0, np.clip(seen, 0, 1), plane).astype(np.float32)
 
     return np.stack([taken(plane) for plane in picture]), None if alpha is None else taken(alpha)
-
-
-def _sure_flow(picture: FloatArray, later: FloatArray, rows: FloatArray, columns: FloatArray) -> FloatArray:
-    """Pixels (H, W, 2) right and down that things move to the later picture; 0 where the way back is another."""
-    before, after = (np.rint(255 * each.mean(axis=0)).astype(np.uint8) for each in (picture, later))
-    method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    none = np.zeros((*before.shape, 2), np.float32)
-    there, back = method.calc(before, after, none), method.calc(after, before, none.copy())
-    returned = cv2.remap(back, columns + there[..., 0], rows + there[..., 1], cv2.INTER_LINEAR)
-    is_sure = np.hypot(*np.moveaxis(there + returned, -1, 0)) <= _MAX_APART
-    return np.asarray(there * is_sure[..., None], np.float32)

@@ -1,10 +1,10 @@
 """The default method: the selected Gaussians follow the pictures, everything else stays.
 
-They start from the last displacement of their neighbourhood, and train for a number of steps that goes with what the
-frame misses. After a quarter of the steps emerging objects get Gaussians; after half of them densification follows, and
-right after it changes that hardly show are reverted. On a stage, displacements are smoothed at both times.
-Gradients and Adam's moments exist for the selected Gaussians only. Equations: docs/METHOD.md, "Focus-aware loss" to
-"Optimiser-state reset".
+They start from where the views' optical flow says they are, and train for a number of steps that goes with what the
+frame then misses. After a quarter of the steps emerging objects get Gaussians; after half of them densification
+follows, and right after it changes that hardly show are reverted. On a stage, displacements are smoothed at both
+times. Gradients and Adam's moments exist for the selected Gaussians only. Equations: docs/METHOD.md, "Focus-aware
+loss" to "Optimiser-state reset".
 """
 
 from __future__ import annotations
@@ -14,9 +14,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-
-from decogs.formats.splats import FloatArray
-from decogs.rig.parallel import side_by_side
 
 from ..backends import Gradients
 from ..training.emergence import add_emerging_in_time, add_undrawn
@@ -35,7 +32,7 @@ from ..training.schedule import (
 )
 from ..training.selective_densification import densify
 from ..training.significance import revert_insignificant
-from ..training.warm_start import shared_displacements
+from ..training.warm_start import followed, shared_displacements
 from ..training.working_set import WorkingSet
 
 _LIGHT_ONLY_FACTOR = 4.0
@@ -64,12 +61,10 @@ class DecogsTrainer:
     def train_set(self, frame: FrameInput, work: WorkingSet) -> TrainedFrame:
         """The same with a ``work`` that exists, whose optimiser may remember."""
         began = time.perf_counter()
-        with side_by_side(self.context.threads) as each:
-            moved_on = each(_moved_on, [work], [frame])
-            training = frame_training(self.context, frame, self._loss)
-            probes = _probes(training)
-            before = training.squared_error(probes)
-            work.optimiser.put(means=next(moved_on))
+        training = frame_training(self.context, frame, self._loss)
+        probes = _probes(training)
+        before = training.squared_error(probes)
+        work.optimiser.put(means=followed(training, work))
         brighter = frame.relit and relight(training, work)
         factor = _iteration_factor(training, work, probes, brighter=brighter)
         schedule = StepSchedule(frame.settings.joint_iterations, frame.stopping.deadline, factor=factor)
@@ -92,12 +87,6 @@ def _probes(training: FrameTraining) -> Sequence[int]:
         if seconds > deadline - time.perf_counter():
             every = max(every, -(-len(training.used) // _MAX_PROBE_VIEWS))
     return training.used[::every]
-
-
-def _moved_on(work: WorkingSet, frame: FrameInput) -> FloatArray:
-    """The Gaussians' means, moved on by a share of their neighbourhood's last displacement."""
-    share, motion, means = np.float32(frame.settings.warm_start), frame.motion[work.rows], work.values.means
-    return means + share * shared_displacements(means, motion) if share and motion.any() else means
 
 
 def _smooth_displacements(work: WorkingSet) -> None:

@@ -97,7 +97,7 @@ class FrameSettings(Checked):
     masks: MaskSettings = field(default_factory=MaskSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     joint_iterations: Steps = 100  # steps; more: slower, follows faster motion
-    warm_start: Share = 0.0  # of the neighbourhood's last displacement, to begin with; no slower
+    warm_start: Share = 0.0  # of the displacement that optical flow shows, to begin with; 0: none measured, faster
     grow_fraction: Share = 0.05  # of the selected Gaussians that a frame may add, at most; more: slower, larger
     prune_opacity: Share = 0.01  # below it a Gaussian is removed; 0: never, larger
     focus: FocusWeights = field(default_factory=FocusWeights)

@@ -44,7 +44,7 @@ _LIVE = EncodeSettings(
             light_threshold=4.0,
         ),
         joint_iterations=30,
-        warm_start=0.9,
+        warm_start=1.0,
         grow_fraction=0.003,
         focus=FocusWeights(dissimilarity=0.05),
         beta1=0.7,

@@ -60,14 +60,13 @@ class FrameInput:
     """Input of the training of one later frame.
 
     ``index``: within the stream; with the seed it determines all randomness, so that a frame can be trained alone.
-    ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``light_only`` (N,): those of
-    them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view,
-    colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
-    displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``stage``: the
-    frame's, where its empty space is known. ``lost``: views, by number, that have no picture of this
-    frame; what is in its place must not teach. Masks say so as well. ``relit``: light has changed more than steps
-    follow. ``clipped``: it has in this or an earlier frame, so that what is recorded as white may be brighter.
-    ``pace``: of the frames before, under a deadline.
+    ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``light_only`` (N,): those
+    of them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each
+    view, colours 0 to 1. ``masks``: one for each view, none for a dense method. ``settings``: of this frame.
+    ``stopping``: the end of training. ``stage``: the frame's, where its empty space is known. ``lost``: views, by
+    number, that have no picture of this frame; what is in its place must not teach. Masks say so as well.
+    ``relit``: light has changed more than steps follow. ``clipped``: it has in this or an earlier frame, so that
+    what is recorded as white may be brighter. ``pace``: of the frames before, under a deadline.
     """
 
     index: int
@@ -76,7 +75,6 @@ class FrameInput:
     light_only: NDArray[np.bool_] | None
     pictures: Sequence[FloatArray]
     masks: Sequence[FrameMask]
-    motion: FloatArray
     settings: FrameSettings
     stopping: StoppingRule = WHOLE
     stage: Stage | None = None

@@ -51,10 +51,8 @@ _BRIGHTER_ITERATION_FACTOR, _BRIGHTER_ITERATIONS = 6.0, 750
 """The same where light is brighter by more than steps follow: at most half of a `standard` keyframe's. Where it is
 darker, times 1/8, `workbench` takes a third more bytes with them and loses .3 dB."""
 
-_STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS = 6.0, 480
-"""Those on a stage, where cameras see performers all around before what is known: there the ratio of errors is squared.
-Figures, later frames, dB: plain `green` +.3 to +.6 (`live`) and +.4 to +.7 (`standard`), its subject alone +.4 to +.9
-(`live`); 7 to 10 % more bytes, 10 to 60 % more CPU-s."""
+_STAGE_STEPS, _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS = 4.0, 6.0, 480
+"""On a stage, where cameras see performers all around before what is known: the usual number, most, and most in all."""
 
 _MAX_RATE_GAIN = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
@@ -113,7 +111,7 @@ def iteration_factor(
     factor, steps = _MAX_ITERATION_FACTOR, _MAX_ITERATIONS
     missed = missed_share(errors) / settings.usual_miss
     if on_stage:
-        factor, steps, missed = _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS, missed * max(1.0, missed)
+        factor, steps, missed = _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS, _STAGE_STEPS * max(1.0, missed)
     most = max(1.0, min(factor, steps / max(usual, 1)))
     return float(np.clip(missed, settings.min_factor, most))
 

@@ -1,27 +1,147 @@
-"""Prediction of a Gaussian's motion: the last displacement of its neighbourhood.
+"""Where the selected Gaussians have gone since the frame before, by the optical flow in the views.
 
-A single Gaussian's displacement contains the noise of its training, and a new Gaussian has none. Chosen: the median
-over the nearest neighbours. Rejected: the Gaussian's own displacement (its noise accumulates over frames); a rigid
-motion fitted to the neighbourhood, with or without rotation (no better than the median on `workbench`, whose car spins,
-at four times the cost).
+Each view's flow leads from its rendering of the scene before to its new picture. A Gaussian's displacement is the one
+whose projections fit the flow wherever the views see it: robust least squares, and then the median over neighbours,
+which what no two views tell takes from others.
+
+Chosen: flow from the rendering, so that errors do not add up and nothing is remembered. Rejected: the neighbourhood's
+last displacement, which knows nothing of what starts, turns or speeds up; flow from the picture before, a second round
+from where the first one leads, Gaussians turned as their neighbourhoods turn (no gain, all three).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from decogs.formats.cameras import in_camera, in_picture, project
 from decogs.formats.splats import FloatArray
-from decogs.rig.numerics import nearest
+from decogs.rig.numerics import bilinear, floats, nearest
+from decogs.rig.parallel import side_by_side
+from decogs.rig.pictures.optical_flow import MAX_APART_PIXELS, flow_and_back
+
+from .frame_training import FrameTraining
+from .working_set import WorkingSet
 
 _NEIGHBOUR_GAUSSIANS = 8
-"""Nearest Gaussians whose median displacement is taken: one, its own, takes 8 % more bytes."""
+"""Nearest Gaussians with a displacement whose median is taken. Sixteen: the same."""
+_WIDTH = 320
+"""Pixels across, about, of pictures that are halved, thirded and so on for flow: larger ones gain nothing."""
+_AROUND_PIXELS, _LEAST_PIXELS = 24, 24
+"""Of a region of interest that flow may need; of pictures' sides, below which there is none."""
+_SURFACE_DEPTHS = 0.03
+"""Of its depth, by which a Gaussian may lie behind what a view shows there and still be seen."""
+_FIT_PIXELS, _FIT_SHARE = 1.0, 0.15
+"""Errors that a view's flow usually has: so much, and more by a share of itself."""
+_FIT_SLACK = (4.0, 2.0, 1.0)
+"""Times these errors at which a view counts a quarter, round by round."""
+_LEAST_VIEWS = 2
+_DAMPING = 1e-3
+"""Of the mean certainty: two views say little of what goes away from both."""
 
 
-def shared_displacements(
-    means: FloatArray, displacements: FloatArray, neighbours: int = _NEIGHBOUR_GAUSSIANS
-) -> FloatArray:
+class _Flow(NamedTuple):
+    """What a view tells of the Gaussians ``rows`` (R,): ``flow`` (R, 2) in pixels, ``slopes`` (R, 2, 3) by position."""
+
+    rows: NDArray[np.int64]
+    slopes: NDArray[np.float64]
+    flow: NDArray[np.float64]
+
+
+def followed(training: FrameTraining, work: WorkingSet) -> FloatArray:
+    """The means (M, 3) of ``work``, moved on by the share ``warm_start`` of what the views' flow says.
+
+    The views show the scene before. What light alone changes stays, and so does everything where light changes most.
+    """
+    means, share = work.values.means, np.float32(training.settings.warm_start)
+    may_move = np.ones(len(means), bool)
+    if training.frame.light_only is not None:
+        may_move = ~training.frame.light_only[work.rows]
+    if not share or training.frame.relit or not may_move.any():
+        return means
+    places, sigmas = means[may_move], np.exp(work.values.log_scales[may_move]).max(axis=1)
+    with side_by_side(training.context.threads) as each:
+        flows = list(each(lambda index: _flow_of(training, index, places, sigmas), training.used))
+    displacements, known = _fitted(flows, len(places))
+    if not known.any():
+        return means
+    around, _ = nearest(places[known], min(_NEIGHBOUR_GAUSSIANS, int(known.sum())), places)
+    moved: FloatArray = means.copy()
+    moved[may_move] += share * np.median(displacements[known][around], axis=1).astype(np.float32)
+    return moved
+
+
+def _flow_of(training: FrameTraining, index: int, means: FloatArray, sigmas: FloatArray) -> _Flow:
+    """What one view tells of the Gaussians that it sees in its region of interest, where its flow is sure."""
+    view, focus = training.context.static_views[index], training.focus(index)
+    camera = training.context.views[index].pinhole
+    u, v, depth = project(camera, means)
+    rows = np.flatnonzero(in_picture(camera, u, v, depth))
+    at = v[rows].astype(np.int64), u[rows].astype(np.int64)
+    surface = view.depth[at] / np.maximum(view.alpha[at], 1e-3)
+    rows = rows[focus[at] & (depth[rows] - sigmas[rows] <= (1 + _SURFACE_DEPTHS) * surface)]
+    told, is_sure = _flow_at(view.rgb, training.frame.pictures[index], focus, u[rows], v[rows])
+    rows, told = rows[is_sure], told[is_sure]
+    x, y, z = in_camera(camera, means[rows]).astype(np.float64).T
+    slopes = np.zeros((len(rows), 2, 3))
+    slopes[:, 0, 0], slopes[:, 0, 2] = camera.fx / z, -camera.fx * x / z**2
+    slopes[:, 1, 1], slopes[:, 1, 2] = camera.fy / z, -camera.fy * y / z**2
+    return _Flow(rows, slopes @ camera.world_to_camera[:3, :3].astype(np.float64), told)
+
+
+def _flow_at(
+    before: FloatArray, after: FloatArray, focus: NDArray[np.bool_], u: NDArray[np.float64], v: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Flow (P, 2), pixels, between two pictures (3, H, W) at places of their ``focus`` (H, W), and where it is sure."""
+    height, width = focus.shape
+    smaller = 1 / max(1, round(max(height, width) / _WIDTH))
+    planes = (before.mean(axis=0), after.mean(axis=0), focus.astype(np.float32))
+    size = max(1, round(width * smaller)), max(1, round(height * smaller))
+    first, second, region = (floats(cv2.resize(each, size, interpolation=cv2.INTER_AREA)) for each in planes)
+    part = _around(region > 0)
+    if part is None or not len(u):
+        return np.zeros((len(u), 2)), np.zeros(len(u), bool)
+    there, back = flow_and_back(first[part], second[part], smooth=False)
+    across, down = u * size[0] / width - part[1].start, v * size[1] / height - part[0].start
+    flow = bilinear(there, across, down)
+    returned = bilinear(back, across + flow[:, 0], down + flow[:, 1])
+    return flow.astype(np.float64) / smaller, np.linalg.norm(flow + returned, axis=1) <= MAX_APART_PIXELS
+
+
+def _around(focus: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+    """The rectangle around a region (H, W), and some pixels more; None where there is none, or too little for flow."""
+    rows, columns = np.flatnonzero(focus.any(axis=1)), np.flatnonzero(focus.any(axis=0))
+    if not len(rows) or min(focus.shape) < _LEAST_PIXELS:
+        return None
+    down, across = (slice(max(0, at[0] - _AROUND_PIXELS), at[-1] + 1 + _AROUND_PIXELS) for at in (rows, columns))
+    return down, across
+
+
+def _fitted(flows: list[_Flow], count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Displacements (M, 3) that fit the views' flow, and which of them two views or more agree on."""
+    displacements, agreeing = np.zeros((count, 3)), np.zeros(count, np.int64)
+    for number in range(1 + len(_FIT_SLACK)):
+        matrix, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
+        agreeing[:] = 0
+        for rows, slopes, flow in flows:
+            weights = np.ones(len(rows))
+            if number:
+                misses = np.linalg.norm(np.einsum("nij,nj->ni", slopes, displacements[rows]) - flow, axis=1)
+                usual = (_FIT_PIXELS + _FIT_SHARE * np.linalg.norm(flow, axis=1)) * _FIT_SLACK[number - 1]
+                weights = 1 / np.square(1 + np.square(misses / usual))
+                agreeing[rows] += misses < 2 * usual
+            matrix[rows] += weights[:, None, None] * np.einsum("nki,nkj->nij", slopes, slopes)
+            vector[rows] += weights[:, None] * np.einsum("nki,nk->ni", slopes, flow)
+        certainty = np.trace(matrix, axis1=1, axis2=2)
+        matrix += (_DAMPING * certainty + np.finfo(np.float64).tiny)[:, None, None] * np.eye(3)
+        displacements[:] = np.linalg.solve(matrix, vector[..., None])[..., 0]
+    return displacements, agreeing >= _LEAST_VIEWS
+
+
+def shared_displacements(means: FloatArray, displacements: FloatArray, neighbours: int) -> FloatArray:
     """The median displacement of every point's ``neighbours`` nearest, itself among them; all (M, 3), world units.
 
     1 neighbour leaves the displacements as they are.
@@ -31,28 +151,3 @@ def shared_displacements(
         return displacements
     around, _ = nearest(means, count)
     return np.asarray(np.median(displacements[around], axis=1), np.float32)
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Velocity of every Gaussian: its ``last`` displacement (N, 3), world units; ``deferred`` frames since then."""
-
-    last: FloatArray
-    deferred: int = 0
-
-    @classmethod
-    def at_rest(cls, population: int) -> Motion:
-        """Of a keyframe, whose Gaussians have no known motion."""
-        return cls(np.zeros((population, 3), np.float32))
-
-    def predict(self) -> FloatArray:
-        """Predicted displacement up to the next frame, at constant velocity over deferred frames."""
-        return np.asarray(self.last * np.float32(1 + self.deferred), np.float32)
-
-    def defer(self, frames: int = 1) -> Motion:
-        """After frames without training: the scene stays."""
-        return Motion(self.last, self.deferred + frames)
-
-    def move(self, displacements: FloatArray) -> Motion:
-        """After these displacements since the last frame that was not deferred."""
-        return Motion(displacements / np.float32(1 + self.deferred))

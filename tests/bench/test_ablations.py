@@ -39,7 +39,7 @@ def ablated(case: Case, method: FrameMethod, *parts: str, **settings: Any) -> tu
 
 def given(case: Case, *, everywhere: bool = True) -> tuple[Any, ...]:
     masks = case.masks(everywhere=everywhere)
-    return case.scene, case.selected, case.pictures, masks, np.zeros_like(case.scene.means)
+    return case.scene, case.selected, case.pictures, masks
 
 
 def test_they_are_offered_as_a_package_offers_its_own() -> None:

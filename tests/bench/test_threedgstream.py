@@ -54,8 +54,7 @@ class Case:
         self, trainer: BaselineTrainer, scene: Splats | None = None, pictures: Any = None, frame: int = 1
     ) -> TrainedFrame:
         scene = scene or self.scene
-        nothing = (np.zeros(len(scene), bool), pictures or self.pictures, [], np.full_like(scene.means, np.nan))
-        # Nobody is selected, there are no masks, and motion is unusable.
+        nothing = (np.zeros(len(scene), bool), pictures or self.pictures, [])  # nobody selected, no masks
         return train(trainer, scene, *nothing, frame=frame)
 
 

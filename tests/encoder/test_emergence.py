@@ -230,7 +230,6 @@ def trained(
         selected,
         pictures,
         [FrameMask(everywhere, everywhere)] * len(views),
-        np.zeros_like(wall.means),
         frame=1,
     )
     scene = take_splats(wall, np.arange(len(wall)))

@@ -16,14 +16,12 @@ from decogs.encoder.frame.memory import Memory
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
-from decogs.encoder.training.warm_start import Motion
 from decogs.rig.pictures.ingest import RigFrame
 
 MASKS = MaskSettings(threshold=10.0)
 DARK = np.random.default_rng(1).uniform(0.1, 0.4, (3, 5, 6)).astype(np.float32).repeat(8, 1).repeat(8, 2)
 BRIGHT, BRIGHTER = (np.minimum(factor * DARK, 1) for factor in (2, 3))
 SETTINGS = replace(preset("draft"), frame=replace(preset("draft").frame, masks=MASKS))
-MOVING = Motion(np.full((4, 3), 0.25, np.float32))
 
 
 @pytest.mark.parametrize(("rows", "over"), [(0, True), (8, True), (9, True), (11, False), (40, False)])
@@ -43,10 +41,10 @@ def test_only_views_that_show_their_frame_say_what_may_be_one(share: float, may_
     assert not changes_most(MaskMemory.begin([picture]), [lost])
 
 
-def memory_of(picture: np.ndarray, motion: Motion = MOVING) -> Memory:
+def memory_of(picture: np.ndarray) -> Memory:
     trainer: Any = SimpleNamespace()
     views: Any = SimpleNamespace(pictures=lambda splats: [DARK])
-    return Memory(trainer, MaskMemory.begin([picture]), motion, None, None, None, views)
+    return Memory(trainer, MaskMemory.begin([picture]), None, None, None, views)
 
 
 def happened(index: int, picture: np.ndarray, memory: Memory, scene: Any) -> PendingFrame:
@@ -64,23 +62,21 @@ def scene_of(state: str) -> Any:
     return SimpleNamespace(state=state, splats=None, roll_back=lambda was: scene_of(f"{was} for {state}"))
 
 
-def test_state_masks_and_motion_of_before_come_back_after_it() -> None:
+def test_state_and_masks_of_before_come_back_after_it() -> None:
     """Two bright frames: the state before the first one, not between the two."""
-    before = memory_of(DARK, MOVING.defer())
+    before = memory_of(DARK)
     first = happened(3, BRIGHT, before, scene_of("before"))
     assert not first.is_return
     masks = MaskMemory.begin([BRIGHT])
-    between = replace(first.memory, masks=masks, motion=Motion(-MOVING.last))
+    between = replace(first.memory, masks=masks)
     second = happened(4, BRIGHTER, between, scene_of("between"))
     kept = second.memory.before_flash
     assert kept is not None
     assert (kept.since, kept.state) == (3, "before")
-    last = replace(second.memory, masks=masks, motion=Motion(-MOVING.last, deferred=1))
+    last = replace(second.memory, masks=masks)
     over = happened(5, DARK, last, scene_of("bright"))
     assert (over.scene.state, over.is_return) == ("before for bright", True)
     assert over.memory.masks is before.masks
-    np.testing.assert_array_equal(over.memory.motion.last, MOVING.last)
-    assert over.memory.motion.deferred == 3, "a frame before the light and both of it, trained or not"
     assert over.memory.before_flash is None
 
 

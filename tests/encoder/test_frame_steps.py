@@ -39,7 +39,6 @@ from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import UNKNOWN_PACE, Pace
-from decogs.encoder.training.warm_start import Motion
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, empty_splats
 from decogs.formats.stream.container import PacketKind
@@ -67,7 +66,6 @@ def memory_of(population: int = 3, **changes: Any) -> Memory:
     given: dict[str, Any] = {
         "trainer": Stub(),
         "masks": MaskMemory.begin([PICTURE]),
-        "motion": Motion(np.ones((population, 3), np.float32)),
         "corrections": None,
         "rate": None,
         "time": None,
@@ -251,7 +249,6 @@ def committed(
     masks: Any = Masks()
     states = ((state_of(3), "old"), (state_of(3, *([] if rejected else [1])), "new"))
     before, after = (Stub(state=state, splats=name) for state, name in states)
-    after.displacements = lambda _: np.full((3, 3), 8, np.float32)
     before.header = Stub(first_frame=first_frame)
     context = Stub(settings=DRAFT, corrector=None, threads=1)
     plan = FramePlan([EVERYWHERE], np.ones(3, bool), ("motion",), DRAFT.frame, relit=relit, deferred=deferred)
@@ -261,11 +258,6 @@ def committed(
     watch.seconds["training"] = 0.25
     written: Any = Stub(packet=Stub(kind=PacketKind.DELTA, size=900))
     return next_memory(context, frame, plan, after, trained, written, watch), masks
-
-
-def test_a_segments_first_frame_leaves_no_velocity() -> None:
-    np.testing.assert_array_equal(committed()[0].motion.last, 8)
-    np.testing.assert_array_equal(committed(restarted=True)[0].motion.last, 0)
 
 
 @pytest.mark.parametrize(
@@ -292,9 +284,8 @@ def test_what_was_rejected_is_still_to_be_trained() -> None:
 
 
 def test_what_was_deferred_is_still_to_be_trained() -> None:
-    memory, masks = committed(deferred=True)
+    _, masks = committed(deferred=True)
     assert masks.given == {"deferred": True}
-    assert memory.motion.deferred == 1
 
 
 def test_a_frame_is_paid_for_where_its_memory_is_made() -> None:
@@ -393,7 +384,6 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     assert (again.state.frame, again.state.next_id) == (2, key.next_id + IDS_PER_SEGMENT)
     assert (fresh.rate, fresh.corrections) == (RateControl(1000.0, 3), "the first frame's")
     assert fresh.masks.references[0] is fresh.masks.previous[0] is PICTURE
-    np.testing.assert_array_equal(fresh.motion.last, np.zeros((4, 3)))
     assert fresh.before_flash is None
     assert (fresh.starts, fresh.stage) == (starts, first.stage)
 

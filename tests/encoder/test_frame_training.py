@@ -138,14 +138,6 @@ def test_results_depend_on_the_seed_and_not_on_threads(case: Case) -> None:
     assert bits(one.values) != bits(other.values)
 
 
-def test_the_warm_start_carries_the_last_displacement_on(case: Case) -> None:
-    motion = np.random.default_rng(0).normal(0, 0.1, case.scene.means.shape).astype(np.float32)
-    frame = case.train(replace(SETTINGS, joint_iterations=0, warm_start=0.75), motion=motion)
-    means = case.scene.means[case.selected]
-    expected = means + np.float32(0.75) * shared_displacements(means, motion[case.selected])
-    np.testing.assert_allclose(frame.values.means, expected, atol=1e-6)
-
-
 def test_on_a_stage_neighbours_move_more_alike(case: Case) -> None:
     """Displacements are smoothed at half of the steps: what the other half adds is left of their differences."""
 
@@ -236,7 +228,7 @@ def test_the_cache_begins_anew_in_every_frame(case: Case) -> None:
     """A second frame without any step is moved by nothing of what the first one taught."""
     trainer = case.trainer(replace(SETTINGS, joint_iterations=0), CACHED)
     assert isinstance(trainer, PaperTrainer)
-    given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
+    given = (case.selected, case.pictures, case.masks(everywhere=True))
     first = train(trainer, case.scene, *given, frame=1)
     assert (first.values.means != case.scene.means[first.kept]).any()
     for view in trainer.context.static_views:
@@ -248,7 +240,7 @@ def test_the_cache_begins_anew_in_every_frame(case: Case) -> None:
 
 @METHODS
 def test_a_frame_is_trained_alike_whatever_was_trained_before(case: Case, new: NewTrainer) -> None:
-    given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
+    given = (case.selected, case.pictures, case.masks(everywhere=True))
     trainer = case.trainer(SETTINGS, new)
     results = []
     for frame in (1, 2, 1):
@@ -269,8 +261,7 @@ def test_a_loss_that_is_not_finite_names_the_camera(case: Case) -> None:
 def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
     """The frame's loss falls as the pictures of the views say: no view keeps showing what has moved away."""
     trainer = case.trainer(SETTINGS)
-    motion = np.zeros_like(case.scene.means)
-    frame = train(trainer, case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
+    frame = train(trainer, case.scene, case.selected, case.pictures, case.masks(everywhere=True), frame=1)
     now, kernel = applied(case.scene, frame), CpuKernel(1)
     for view, watching in zip(case.ingest.views, trainer.context.static_views, strict=True):
         watching.commit(now, np.flatnonzero(case.selected))
@@ -282,9 +273,8 @@ def steps_of(case: Case, trainer: Trainer, pictures: list[np.ndarray], **other: 
     """The steps of stage 2."""
     steps: list[int] = []
     stopping = StoppingRule(on_loss=lambda stage, step, loss: steps.append(step))
-    motion = np.zeros_like(case.scene.means)
     masks = case.masks(everywhere=True)
-    train(trainer, case.scene, case.selected, pictures, masks, motion, frame=1, stopping=stopping, **other)
+    train(trainer, case.scene, case.selected, pictures, masks, frame=1, stopping=stopping, **other)
     return len(steps)
 
 

@@ -26,7 +26,6 @@ from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame, TrainingContext
 from decogs.encoder.training.seeding import _confirm, _Seeds
-from decogs.encoder.training.warm_start import Motion
 from decogs.formats.splats import Splats, empty_splats, take_splats
 from noting_kernel import NotingKernel
 from packets import iterate_packets
@@ -136,12 +135,11 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
 
     masks: Any = SimpleNamespace(trained=trained, advance=lambda *_, **__: masks)
     stub: Any = SimpleNamespace
-    memory = Memory(stub(), masks, Motion.at_rest(len(state)), None, None, None, stub())
+    memory = Memory(stub(), masks, None, None, None, stub())
     before: Any = stub(state=state, splats=None, header=stub(first_frame=0))
     after: Any = stub(
         state=replace(state, frame=1, sh=state.sh + 1) if changed else replace(state, frame=1),
         splats=None,
-        displacements=lambda _: np.zeros((len(state), 3), np.float32),
     )
     context = stub(settings=preset("draft"), corrector=None, threads=1)
     plan = FramePlan([stub(dilated=None)], np.ones(3, bool), effects, preset("draft").frame)
