@@ -52,7 +52,8 @@ _BRIGHTER_ITERATION_FACTOR, _BRIGHTER_ITERATIONS = 6.0, 750
 darker, times 1/8, `workbench` takes a third more bytes with them and loses .3 dB."""
 
 _STAGE_STEPS, _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS = 4.0, 6.0, 480
-"""On a stage, where cameras see performers all around before what is known: the usual number, most, and most in all."""
+"""On a stage, where cameras see performers all around before what is known: times the square of the ratio of errors, at
+most, and in all. With a quarter of it `grey` loses .6 dB where performers are, for 4 % fewer bytes."""
 
 _MAX_RATE_GAIN = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
@@ -111,7 +112,7 @@ def iteration_factor(
     factor, steps = _MAX_ITERATION_FACTOR, _MAX_ITERATIONS
     missed = missed_share(errors) / settings.usual_miss
     if on_stage:
-        factor, steps, missed = _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS, _STAGE_STEPS * max(1.0, missed)
+        factor, steps, missed = _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS, _STAGE_STEPS * missed * missed
     most = max(1.0, min(factor, steps / max(usual, 1)))
     return float(np.clip(missed, settings.min_factor, most))
 

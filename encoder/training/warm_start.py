@@ -96,28 +96,32 @@ def _flow_at(
     before: FloatArray, after: FloatArray, focus: NDArray[np.bool_], u: NDArray[np.float64], v: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Flow (P, 2), pixels, between two pictures (3, H, W) at places of their ``focus`` (H, W), and where it is sure."""
-    height, width = focus.shape
-    smaller = 1 / max(1, round(max(height, width) / _WIDTH))
-    planes = (before.mean(axis=0), after.mean(axis=0), focus.astype(np.float32))
-    size = max(1, round(width * smaller)), max(1, round(height * smaller))
-    first, second, region = (floats(cv2.resize(each, size, interpolation=cv2.INTER_AREA)) for each in planes)
-    part = _around(region > 0)
-    if part is None or not len(u):
+    if not len(u) or min(focus.shape) < _LEAST_PIXELS:
         return np.zeros((len(u), 2)), np.zeros(len(u), bool)
-    there, back = flow_and_back(first[part], second[part], smooth=False)
-    across, down = u * size[0] / width - part[1].start, v * size[1] / height - part[0].start
+    shrink = max(1, round(max(focus.shape) / _WIDTH))
+    part = _around(focus, shrink * _AROUND_PIXELS)
+    first, second = (_grey(picture[:, part[0], part[1]], shrink) for picture in (before, after))
+    there, back = flow_and_back(first, second, smooth=False)
+    across, down = (u - part[1].start) / shrink, (v - part[0].start) / shrink
     flow = bilinear(there, across, down)
     returned = bilinear(back, across + flow[:, 0], down + flow[:, 1])
-    return flow.astype(np.float64) / smaller, np.linalg.norm(flow + returned, axis=1) <= MAX_APART_PIXELS
+    return shrink * flow.astype(np.float64), np.linalg.norm(flow + returned, axis=1) <= MAX_APART_PIXELS
 
 
-def _around(focus: NDArray[np.bool_]) -> tuple[slice, slice] | None:
-    """The rectangle around a region (H, W), and some pixels more; None where there is none, or too little for flow."""
-    rows, columns = np.flatnonzero(focus.any(axis=1)), np.flatnonzero(focus.any(axis=0))
-    if not len(rows) or min(focus.shape) < _LEAST_PIXELS:
-        return None
-    down, across = (slice(max(0, at[0] - _AROUND_PIXELS), at[-1] + 1 + _AROUND_PIXELS) for at in (rows, columns))
+def _around(focus: NDArray[np.bool_], pixels: int) -> tuple[slice, slice]:
+    """The rectangle around a region (H, W), and so many pixels more."""
+    sides = (np.flatnonzero(focus.any(axis=axis)) for axis in (1, 0))
+    down, across = (slice(max(0, int(at[0]) - pixels), int(at[-1]) + 1 + pixels) for at in sides)
     return down, across
+
+
+def _grey(picture: FloatArray, shrink: int) -> FloatArray:
+    """The mean of a picture's channels (3, H, W), and of ``shrink`` by ``shrink`` pixels."""
+    grey = floats(picture.mean(axis=0))
+    if shrink == 1:
+        return grey
+    height, width = (side // shrink for side in grey.shape)
+    return floats(cv2.resize(grey[: height * shrink, : width * shrink], (width, height), interpolation=cv2.INTER_AREA))
 
 
 def _fitted(flows: list[_Flow], count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
