@@ -51,9 +51,9 @@ _BRIGHTER_ITERATION_FACTOR, _BRIGHTER_ITERATIONS = 6.0, 750
 """The same where light is brighter by more than steps follow: at most half of a `standard` keyframe's. Where it is
 darker, times 1/8, `workbench` takes a third more bytes with them and loses .3 dB."""
 
-_STAGE_STEPS, _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS = 4.0, 6.0, 480
+_STAGE_STEPS, _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS = 3.0, 6.0, 480
 """On a stage, where cameras see performers all around before what is known: times the square of the ratio of errors, at
-most, and in all. With a quarter of it `grey` loses .6 dB where performers are, for 4 % fewer bytes."""
+most, and in all. With a third of it `grey` loses 1 dB where performers are, for 10 % fewer bytes."""
 
 _MAX_RATE_GAIN = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""

@@ -54,12 +54,15 @@ class _Flow(NamedTuple):
 def followed(training: FrameTraining, work: WorkingSet) -> FloatArray:
     """The means (M, 3) of ``work``, moved on by the share ``warm_start`` of what the views' flow says.
 
-    The views show the scene before. What light alone changes stays, and so does everything where light changes most.
+    The views show the scene before. What light alone changes stays, and so do a backdrop, over which shadows move, and
+    everything where light changes most.
     """
     means, share = work.values.means, np.float32(training.settings.warm_start)
     may_move = np.ones(len(means), bool)
     if training.frame.light_only is not None:
-        may_move = ~training.frame.light_only[work.rows]
+        may_move &= ~training.frame.light_only[work.rows]
+    if training.frame.stage is not None:
+        may_move &= ~training.frame.stage.on_backdrop(means)
     if not share or training.frame.relit or not may_move.any():
         return means
     places, sigmas = means[may_move], np.exp(work.values.log_scales[may_move]).max(axis=1)

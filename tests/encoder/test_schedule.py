@@ -92,7 +92,7 @@ def test_what_is_missed_more_than_usual_gets_as_much_longer(missed: float, facto
     assert iteration_factor(IterationSettings(usual_miss=0.15), 100, [np.zeros((3, 0), np.float32)]) == 1
 
 
-@pytest.mark.parametrize(("missed", "factor"), [(0.06, 0.64), (0.15, 4.0), (0.18, 5.76), (0.9, 6.0)])
+@pytest.mark.parametrize(("missed", "factor"), [(0.06, 0.6), (0.09, 1.08), (0.15, 3.0), (0.18, 4.32), (0.9, 6.0)])
 def test_a_stage_gets_more_than_that(missed: float, factor: float) -> None:
     view = np.full((3, 1000), 0.09, np.float32)
     view[1, : round(missed * view.shape[1])] = -0.11

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,16 @@ def test_what_light_alone_changes_stays(case: Case) -> None:
     assert not gone[:10].any()
     assert gone[10:].any(axis=1).all()
     assert not moved(case, relit=True).any(), "light says nothing of places where it changes everything"
+
+
+def test_a_backdrop_stays(case: Case) -> None:
+    """Shadows move over it."""
+    left = np.quantile(case.scene.means[case.selected][:, 0], 0.4)
+    stage: Any = SimpleNamespace(on_backdrop=lambda xyz: xyz[:, 0] < left, free=lambda xyz: np.zeros(len(xyz), bool))
+    is_left = case.scene.means[case.selected][:, 0] < left
+    gone = moved(case, stage=stage)
+    assert not gone[is_left].any()
+    assert gone[~is_left].any(axis=1).all()
 
 
 def test_nothing_is_told_outside_of_the_regions_of_interest(case: Case) -> None:
