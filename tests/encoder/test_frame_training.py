@@ -147,7 +147,10 @@ def test_on_a_stage_neighbours_move_more_alike(case: Case) -> None:
         moved = frame.values.means - before
         return float(np.abs(moved - shared_displacements(before, moved, 16)).mean())
 
-    assert differences(stage=SimpleNamespace(free=lambda means: np.zeros(len(means), bool))) < 0.8 * differences()
+    def nowhere(means: np.ndarray) -> np.ndarray:
+        return np.zeros(len(means), bool)
+
+    assert differences(stage=SimpleNamespace(free=nowhere, on_backdrop=nowhere)) < 0.8 * differences()
 
 
 GROWING = replace(SETTINGS, joint_iterations=0, grow_fraction=1.0, prune_opacity=0.0)

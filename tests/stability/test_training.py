@@ -232,11 +232,12 @@ def test_a_camera_that_dies_in_mid_stream_is_left_out_from_then_on(
     else:  # where nothing moves, a picture that does not either says the same as the others
         assert [left_out[1], left_out[3]] == [{"cam03": FROZEN}] * 2
     whole, dead = (where_it_moved(rig, e, 4) for e in (moving[1], encoded))
-    # Four seeds: -.15, -.03, -.16, +.03 dB without one that ends black, -.04, -.03, -.07, -.01 frozen.
-    assert held_out(encoded)[-1] > held_out(moving[1])[-1] - 0.3
-    # Four seeds: 27.2, 27.5, 27.8, 27.4 dB with four cameras; without one that ends black 25.0, 27.1, 25.1, 28.3,
-    # frozen 26.4, 26.7, 26.0, 27.1. Three cameras of four tell less, and by chance more or less so.
-    assert dead > whole - 3
+    # Four seeds, black or frozen: as good up to frame 2 (-.02 to +.03 dB). Then a square appears: four cameras find
+    # 20 points for it, three none, since four must miss it: -.32, -.32, -.29, -.30 dB; where it moved 28.6, 28.9, 28.3,
+    # 28.6 dB with four cameras, 25.4, 25.4, 25.3, 25.5 with three.
+    assert np.abs(np.subtract(held_out(encoded)[:3], held_out(moving[1])[:3])).max() < 0.1
+    assert held_out(encoded)[-1] > held_out(moving[1])[-1] - 0.4
+    assert dead > whole - 4
     again = encode(rig, settings=settings, output=encoded.path, resume=True)
     assert again.report.frames == [], "and resuming knows it"
     command = [str(rig), "-o", str(tmp_path / "x.dgs"), "--keyframe", str(moving[1].path), "--holdout", "cam02"]
