@@ -53,7 +53,7 @@ darker, times 1/8, `workbench` takes a third more bytes with them and loses .3 d
 
 _STAGE_STEPS, _STAGE_ITERATION_FACTOR, _STAGE_ITERATIONS = 3.0, 6.0, 480
 """On a stage, where cameras see performers all around before what is known: times the square of the ratio of errors, at
-most, and in all. With a third of it `grey` loses 1 dB where performers are, for 10 % fewer bytes."""
+most, and in all. With a third of it `grey` loses 1 dB where performers are, for 15 % fewer bytes."""
 
 _MAX_RATE_GAIN = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""

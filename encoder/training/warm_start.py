@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import in_camera, in_picture, project
+from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray
 from decogs.rig.numerics import bilinear, floats, nearest
 from decogs.rig.parallel import side_by_side
@@ -71,9 +71,8 @@ def followed(training: FrameTraining, work: WorkingSet) -> FloatArray:
     displacements, known = _fitted(flows, len(places))
     if not known.any():
         return means
-    around, _ = nearest(places[known], min(_NEIGHBOUR_GAUSSIANS, int(known.sum())), places)
     moved: FloatArray = means.copy()
-    moved[may_move] += share * np.median(displacements[known][around], axis=1).astype(np.float32)
+    moved[may_move] += share * shared_displacements(places[known], displacements[known], _NEIGHBOUR_GAUSSIANS, places)
     return moved
 
 
@@ -88,10 +87,9 @@ def _flow_of(training: FrameTraining, index: int, means: FloatArray, sigmas: Flo
     rows = rows[focus[at] & (depth[rows] - sigmas[rows] <= (1 + _SURFACE_DEPTHS) * surface)]
     told, is_sure = _flow_at(view.rgb, training.frame.pictures[index], focus, u[rows], v[rows])
     rows, told = rows[is_sure], told[is_sure]
-    x, y, z = in_camera(camera, means[rows]).astype(np.float64).T
-    slopes = np.zeros((len(rows), 2, 3))
-    slopes[:, 0, 0], slopes[:, 0, 2] = camera.fx / z, -camera.fx * x / z**2
-    slopes[:, 1, 1], slopes[:, 1, 2] = camera.fy / z, -camera.fy * y / z**2
+    z, slopes = depth[rows], np.zeros((len(rows), 2, 3))
+    slopes[:, 0, 0], slopes[:, 0, 2] = camera.fx / z, (camera.cx - u[rows]) / z
+    slopes[:, 1, 1], slopes[:, 1, 2] = camera.fy / z, (camera.cy - v[rows]) / z
     return _Flow(rows, slopes @ camera.world_to_camera[:3, :3].astype(np.float64), told)
 
 
@@ -148,13 +146,14 @@ def _fitted(flows: list[_Flow], count: int) -> tuple[NDArray[np.float64], NDArra
     return displacements, agreeing >= _LEAST_VIEWS
 
 
-def shared_displacements(means: FloatArray, displacements: FloatArray, neighbours: int) -> FloatArray:
-    """The median displacement of every point's ``neighbours`` nearest, itself among them; all (M, 3), world units.
+def shared_displacements(
+    means: FloatArray, displacements: NDArray[np.floating], neighbours: int, places: FloatArray | None = None
+) -> FloatArray:
+    """The median displacement of the nearest ``neighbours`` among ``means`` to each of ``places`` (P, 3) or means.
 
-    1 neighbour leaves the displacements as they are.
+    ``means`` and ``displacements``: (M, 3), world units. A mean is its own nearest.
     """
-    count = min(neighbours, len(means))
-    if count <= 1:
-        return displacements
-    around, _ = nearest(means, count)
+    if not len(means):
+        return floats(displacements)
+    around, _ = nearest(means, min(neighbours, len(means)), places)
     return np.asarray(np.median(displacements[around], axis=1), np.float32)

@@ -62,7 +62,7 @@ def state_of(count: int, *moved: int) -> State:
     return new_state(Attributes(**{name: getattr(points, name) for name in ARRAYS} | {"means": means}))
 
 
-def memory_of(population: int = 3, **changes: Any) -> Memory:
+def memory_of(**changes: Any) -> Memory:
     given: dict[str, Any] = {
         "trainer": Stub(),
         "masks": MaskMemory.begin([PICTURE]),
