@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, ray_slopes, scale_camera
 from decogs.formats.errors import UsageError
 
+from ..rasterise.faces import is_wide
+
 F64 = NDArray[np.float64]
 Maps = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]
 PictureArray = TypeVar("PictureArray", bound=NDArray[Any])
@@ -34,8 +36,9 @@ PictureArray = TypeVar("PictureArray", bound=NDArray[Any])
 WIDEST = 3
 """A re-distorted view is rendered at most this many times as wide and as high as the camera's own picture."""
 
-LARGEST_AREA = 2.5
-"""Pixels of a training picture, in those of the camera's own: barrel lenses need some 1.2 to 2, fisheyes up to 9."""
+LARGEST_AREA, LARGEST_WIDE_AREA = 2.5, 3.5
+"""Pixels of a training picture, in those of the camera's own: barrel lenses need some 1.2 to 2, fisheyes up to 9. One
+that is drawn in faces (``rasterise.faces``) takes less time a pixel."""
 
 _REMAP_LIMIT = (1 << 15) - 2
 """Side of the largest picture that ``cv2.remap`` takes."""
@@ -292,12 +295,12 @@ def training_pinhole(camera: Camera) -> Camera:
 
     What its lens is not ``trusted`` to show is left out. It has the camera's focal lengths, so that the middle keeps
     its detail, unless it is then over ``LARGEST_AREA`` times as large as the camera's picture: it is scaled down to
-    that. An undistorted camera's is its own.
+    that, or ``LARGEST_WIDE_AREA``. An undistorted camera's is its own.
     """
     if not is_distorted(camera):
         return as_pinhole(camera)
     covering = _trusted_part(covering_pinhole(camera), lens_of(camera).trusted)
-    most = LARGEST_AREA * camera.width * camera.height
+    most = (LARGEST_WIDE_AREA if is_wide(covering) else LARGEST_AREA) * camera.width * camera.height
     return scale_camera(covering, min(1.0, (most / (covering.width * covering.height)) ** 0.5))
 
 

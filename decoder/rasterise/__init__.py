@@ -16,6 +16,7 @@ from decogs.formats.cameras import Camera, is_distorted
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
 
+from .faces import faces_of
 from .native import MAX_PAIRS, render_planes
 
 
@@ -43,7 +44,8 @@ def render(
 
     ``threads`` 0 means all processors; the result does not depend on it. Raises UsageError for a camera with a lens,
     for Gaussians that are not finite, which would be left out, and above ``max_pairs`` of a 16x16 tile and a Gaussian,
-    which is what bounds the memory taken; MemoryError when there is none. Source: Kerbl 2023, equation 3.
+    which is what bounds the memory taken; MemoryError when there is none. Very wide pictures are drawn in parts
+    (``faces``). Source: Kerbl 2023, equation 3.
     """
     for field in fields(splats):
         finite = np.isfinite(getattr(splats, field.name))
@@ -54,6 +56,19 @@ def render(
         raise UsageError(
             f"camera {camera.name}: render through its pinhole and re-apply the lens distortion afterwards"
         )
+    faces = faces_of(camera)
+    if not faces:
+        return _drawn(splats, camera, background, threads, max_pairs)
+    size = camera.height, camera.width
+    whole = Rendering(*(np.zeros((*size, *more), np.float32) for more in ((3,), (), ())))
+    for face in faces:
+        face.put_all(_drawn(splats, face.camera, background, threads, max_pairs), whole)
+    return whole
+
+
+def _drawn(
+    splats: Splats, camera: Camera, background: tuple[float, float, float], threads: int, max_pairs: int
+) -> Rendering:
     rgb, alpha, depth_sum = render_planes(splats, camera, background, threads, max_pairs)
     depth = np.divide(depth_sum, alpha, out=np.zeros_like(depth_sum), where=alpha > 0)
     return Rendering(np.ascontiguousarray(rgb.transpose(1, 2, 0)), alpha, depth)

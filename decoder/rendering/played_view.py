@@ -16,7 +16,7 @@ from decogs.formats.cameras import Camera
 
 from ..cameras.corrections import with_recorded_colours
 from ..rasterise import Rendering
-from ..rasterise.incremental_view import IncrementalView
+from ..rasterise.faces_view import incremental_view
 from ..reading.frame import DecodedFrame
 from .views import behind_subject, correction_of, max_pairs, through_lens, view_plan
 
@@ -92,7 +92,7 @@ class PlayedView:
             correction=self._correction,
             max_memory=self._max_memory,
         )
-        self._view = IncrementalView(self._plan.render_camera, self._background, threads=self._threads)
+        self._view = incremental_view(self._plan.render_camera, self._background, threads=self._threads)
         self._shown = self._seen = self._rendering = None
 
     def _follow(self, shown: State | None, frame: DecodedFrame) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from decogs.decoder.rasterise.faces import is_wide
 from decogs.formats.rigs.timeline import RowTimes
 from decogs.formats.splats import Splats
 from decogs.rig.pictures.ingest import Ingest
@@ -11,6 +12,7 @@ from decogs.rig.pictures.ingest import Ingest
 from ..backends import BLACK, TrainingKernel, training_kernel
 from ..backends.late_view import PictureClock
 from ..backends.scene_views import SceneViews
+from ..backends.wide import WideKernel
 from ..input.compensation import Corrector, RenderView, corrector_of
 from ..methods import method_of
 from ..settings.encode import EncodeSettings
@@ -50,10 +52,12 @@ class Context:
 
         ``kernel``: None is the ``device``'s.
         """
+        kernel = kernel or training_kernel(device, threads, ingest.background or BLACK)
+        views = [*ingest.views, *ingest.held_out_views]
         return cls(
             ingest,
             settings,
-            kernel or training_kernel(device, threads, ingest.background or BLACK),
+            WideKernel(kernel) if any(is_wide(view.pinhole) for view in views) else kernel,
             method_of(settings),
             corrector_of(ingest.views, settings.corrections),
             seed,

@@ -10,6 +10,7 @@ import pytest
 
 from decogs.decoder.cameras.lens import (
     LARGEST_AREA,
+    LARGEST_WIDE_AREA,
     WIDEST,
     Redistortion,
     Undistortion,
@@ -20,6 +21,7 @@ from decogs.decoder.cameras.lens import (
     undistort_pixels,
 )
 from decogs.decoder.rasterise import Rendering
+from decogs.decoder.rasterise.faces import is_wide
 from decogs.decoder.rendering.views import through_lens
 from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, project
 from decogs.formats.errors import UsageError
@@ -335,7 +337,8 @@ def wide(model: DistortionModel, focal: float, *coefficients: float) -> Camera:
 )
 def test_a_training_picture_shows_every_recorded_pixel_that_can_be_rendered(camera: Camera, least: float) -> None:
     pinhole = training_pinhole(camera)
-    assert pinhole.width * pinhole.height <= 1.01 * LARGEST_AREA * camera.width * camera.height
+    largest = LARGEST_WIDE_AREA if is_wide(pinhole) else LARGEST_AREA
+    assert pinhole.width * pinhole.height <= 1.01 * largest * camera.width * camera.height
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     straight = (undistort_pixels(camera, np.stack([u, v], axis=-1)) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     shown = straight * [pinhole.fx, pinhole.fy] + [pinhole.cx, pinhole.cy]
