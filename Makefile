@@ -2,25 +2,16 @@
 #   PYTHON    the Python to use                      make setup PYTHON=python3.12
 #   PIP_ARGS  more options for pip, such as an index make setup PIP_ARGS="--index-url ..."
 #   PYTHONS   those of make matrix                   make matrix PYTHONS="python3.12 /opt/python3.14/bin/python3"
-#   RIGS      the rigs of the report                 make report RIGS="rig_a rig_b"
+#   DATA, RUNS  where the report's rigs are, some of its runs   make report RUNS="presets effects"
 #   FUZZ_ARGS more options for make fuzz             make fuzz FUZZ_ARGS="--seed 2 --inputs 1000000"
 #   BLENDER   the Blender of make blender-test        make blender-test BLENDER=5.2.3 BLENDER_PYTHON=python3.13
-#   BENCH_ARGS  more options for decogs-bench        make report BENCH_ARGS="--frames :10"
 
 PYTHON ?= python3
 PIP_ARGS ?=
 # Python compiles what it imports; pip would compile all, which takes longer than the download.
 INSTALL = -m pip install $(PIP_ARGS) --quiet --no-compile -c constraints.txt
-RIGS ?= $(addprefix ../shared/data/rigs/,workbench candle popup)
-RECIPE_RIGS ?= $(addprefix ../shared/data/rigs/,workbench popup)
-CHOICE_RIGS ?= ../shared/data/rigs/workbench
-RATE_RIGS ?= ../shared/data/rigs/workbench
-RING ?= ../shared/data/rigs/stage
-DOME ?= ../shared/data/real/panoptic_basketball
-EFFECT_RIGS ?= $(addprefix ../shared/data/rigs/,still candle popup workbench workbench_drift)
-BENCH_ARGS ?=
-FULL := report/full
-SHORT_CURVE := --only presets,iterations --scale .5 --frames :8
+DATA ?= ../shared/data
+RUNS ?=
 
 # Developers and tests have .venv, users and the demo .venv-user: without torch, a third of the download.
 VENV := .venv
@@ -117,7 +108,7 @@ player-wasm: $(ZIG_ENV)/ready ## compile what is WebAssembly of that page; after
 
 $(ZIG_ENV)/ready: constraints.txt
 	$(PYTHON) -m venv $(ZIG_ENV)
-	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief packaging uv
+	$(ZIG_ENV)/bin/python $(INSTALL) ziglang setuptools build lief packaging uv markdown-it-py
 	@touch $@
 
 # Its unit tests are among pytest's. Without Node, or where its packages cannot be had (no network), all of them are skipped.
@@ -176,21 +167,11 @@ bench: $(READY) ## time the rasteriser, sparse training steps against dense ones
 	$(BIN)/python tests/bench/decode.py
 	$(BIN)/python tests/bench/player.py
 
-# Hours: runs that are there, made by the same code, are not made again. tables.py fills those of report/.
-report: $(READY) ## make report/full and report/full.zip: every table, picture and run; and the tables of report/ from them
-	$(BIN)/decogs-bench paper $(RIGS) -o $(FULL) --only methods,fresh,components,frame-rate,sweep,time,scanlines $(BENCH_ARGS)
-	$(BIN)/decogs-bench paper $(RECIPE_RIGS) -o $(FULL)/recipe --only recipe --seeds 3 --scale .5 --frames 8: $(BENCH_ARGS)
-	$(BIN)/decogs-bench paper $(DOME) -o $(FULL)/dome --holdout cam10 --frames :20 --only methods,fresh $(BENCH_ARGS)
-	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o $(FULL) --frames :16 $(BENCH_ARGS)
-	$(BIN)/decogs-bench choices ../shared/data/rigs/popup -o $(FULL)/popup --only pace $(BENCH_ARGS)
-	$(BIN)/decogs-bench choices ../shared/data/rigs/candle -o $(FULL)/candle --only faint-light $(BENCH_ARGS)
-	$(BIN)/decogs-bench rates $(RATE_RIGS) -o $(FULL) $(BENCH_ARGS)
-	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o $(FULL) --frames :20 --preset draft $(BENCH_ARGS)
-	$(BIN)/decogs-bench curve $(RATE_RIGS) -o $(FULL) --frames :8 $(BENCH_ARGS)
-	$(BIN)/decogs-bench curve $(DOME) -o $(FULL)/dome --holdout cam00 --holdout cam10 --holdout cam26 $(SHORT_CURVE) $(BENCH_ARGS)
-	$(BIN)/decogs-bench curve $(RING) -o $(FULL)/ring --holdout cam00 --holdout cam04 --holdout cam08 $(SHORT_CURVE) $(BENCH_ARGS)
-	$(BIN)/python report/tables.py $(FULL)
-	$(BIN)/python tests/bench/archive.py $(FULL)
+# A night on two cores; an interrupted one goes on. tables.py keeps in report/figures what the pages cite.
+report: $(READY) ## make report/full and report/full.zip: every table, picture and run; and the tables of README.md and report/
+	$(BIN)/python report/make.py $(DATA) $(RUNS)
+	$(BIN)/python report/tables.py
+	$(BIN)/python tests/bench/archive.py report/full
 
 blender-addon: ## pack the Blender extension as build/decogs-blender.zip; Python's standard library is enough
 	$(PYTHON) blender/build.py $(BLENDER_ADDON)

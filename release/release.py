@@ -14,13 +14,11 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-import zipfile
 from pathlib import Path
 
 import tomllib
 from wheels import ROOT
 
-_EARLIEST = (1980, 1, 1, 0, 0, 0)
 SUMS = "SHA256SUMS"
 
 
@@ -67,7 +65,7 @@ def build(folder: Path, commit: str) -> str:
         run(sys.executable, "release/bill_of_materials.py", folder / f"decogs-{version}.cdx.json")
         (sources / "player" / "node_modules").symlink_to(ROOT / "player" / "node_modules")
         run("npm", "pack", "--silent", "--pack-destination", folder, cwd=sources / "player")
-        _pack_report(sources / "report", folder / f"decogs-report-{version}.zip")
+        run(sys.executable, "report/browse.py", folder / f"decogs-report-{version}.html")
     full = ROOT / "report" / "full.zip"
     if full.exists():
         shutil.copyfile(full, folder / f"decogs-report-full-{version}.zip")
@@ -94,14 +92,6 @@ def _export(commit: str, folder: Path) -> None:
 
 def _git(*words: str) -> str:
     return subprocess.run(["git", "-C", ROOT, *words], check=True, capture_output=True, text=True).stdout
-
-
-def _pack_report(folder: Path, target: Path) -> None:
-    """The tables and pictures of the report, without the script that makes them."""
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-        for file in sorted(folder.rglob("*")):
-            if file.is_file() and file.suffix != ".py":
-                archive.writestr(zipfile.ZipInfo(str(file.relative_to(folder)), _EARLIEST), file.read_bytes())
 
 
 if __name__ == "__main__":

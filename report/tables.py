@@ -1,16 +1,32 @@
-"""Fills tables and pictures of the pages in this folder from the full reports, as the last step of `make report`.
+"""Fills the tables of README.md and of pages in this folder from reports of decogs-bench; `make report` ends with it.
 
-    .venv/bin/python report/tables.py [FULL]        FULL: where they are, report/full
+    .venv/bin/python report/tables.py [FULL]        FULL: where reports are, report/full
 
-A table stands between two comments. The first one says where its figures come from (files and rigs), which figures, and
-beneath them the questions of the report, each with its name here. A table with sources that are not there stays.
+What the pages cite of these reports is kept in report/figures, which git has; tables are made of that alone, so that
+a test can see whether any figure is another one than its run's. A table stands between two comments. The first one says
+its kind, where its figures come from (folders of report/full, each a rig's), which figures, and beneath them the rows:
 
-    <!-- table choices.json:workbench | psnr_dynamic last_dynamic megabytes
+    <!-- table choices/workbench | psnr_dynamic last_dynamic megabytes
     warm-start: warm start
     beta: weights of whole picture and focus -->
     <!-- end -->
 
-A question with a name gets one row; of one without, each variant gets a row.
+table
+    A row for each question, a column for each rig. Of a question without a name each variant gets a row; of one rig
+    each figure then gets a column.
+rigs
+    A row for each rig, by its name here; the line beneath names the variant: `methods/decogs-auto`.
+differences
+    A row for each variant of a question, a column for each rig: what it has more than the question's reference, seed by
+    seed, mean ± standard error, in bold beyond two; dB, then per cent.
+against
+    A row for each rig: the first variant beneath against the second: dB more, and the share of flicker, time and bytes.
+made
+    One line, without rows: which code, which day, which machine, how long.
+
+A figure within a sentence stands between comments, too; the second row is taken off the first:
+
+    <!--= paper/workbench psnr_dynamic components/select - components/no-parts -->+0.07<!--/-->
 """
 
 from __future__ import annotations
@@ -18,14 +34,22 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-TABLE = re.compile(r"(<!-- table ([^|]+)\|([^\n]+)\n(.*?)-->\n)(.*?)(<!-- end -->)", re.DOTALL)
+KEPT = HERE / "figures"
+TABLE = re.compile(
+    r"(?P<opening><!-- (?P<kind>table|rigs|differences|against|made) (?P<sources>[^|\n]+?)"
+    r"(?: \|(?P<keys>[^\n]*)\n(?P<rows>.*?))? ?-->\n)(?P<old>.*?)(?P<end><!-- end -->)",
+    re.DOTALL,
+)
+
+INLINE = re.compile(r"(<!--= (\S+) (\S+) (\S+?)(?: - (\S+))? -->)[^<]*(<!--/-->)")
 
 
 @dataclass(frozen=True)
@@ -42,11 +66,16 @@ def kilobytes(megabytes: float) -> str:
 
 FIGURES = {
     "psnr": Figure("dB of the whole picture", "{:.2f}".format),
+    "first": Figure("first frame", "{:.2f}".format),
+    "last": Figure("last frame", "{:.2f}".format),
+    "psnr_worst": Figure("worst 5 %", "{:.2f}".format),
     "psnr_aligned": Figure("dB of the whole picture", "{:.2f}".format),
     "psnr_dynamic": Figure("dB where things move", "{:.2f}".format),
     "psnr_static": Figure("where nothing does", "{:.2f}".format),
     "last_dynamic": Figure("last frame", "{:.2f}".format),
     "psnr_subject": Figure("of the subject", "{:.2f}".format),
+    "psnr_change": Figure("dB of the change there", "{:.2f}".format),
+    "flip": Figure("FLIP", "{:.4f}".format),
     "mtv": Figure("flicker", "{:.4f}".format),
     "cpu": Figure("CPU-s", "{:.2f}".format),
     "megabytes": Figure("kB", kilobytes),
@@ -62,58 +91,163 @@ FIGURES = {
 }
 """Those of a report's JSON that tables here have; bytes and CPU-s are per later frame."""
 
+AGAINST = ("psnr_dynamic", "mtv", "cpu", "megabytes")
+DIFFERENCES = ("psnr_dynamic", "megabytes", "cpu")
 
-def filled(page: str, full: Path) -> str:
-    """The page with each table made anew whose sources are all in ``full``."""
 
-    def table(found: re.Match[str]) -> str:
-        opening, sources, keys, names, _, end = found.groups()
-        reports = [source.rsplit(":", 1) for source in sources.split()]
-        if not all((full / file).exists() for file, _ in reports):
-            return found[0]
-        questions = dict(tuple(line.partition(":")[::2]) for line in names.strip().splitlines())
+@dataclass(frozen=True)
+class Table:
+    """What a comment asks for. ``sources``: RUNS/RIG; ``rows``: the lines beneath, key and name."""
+
+    kind: str
+    sources: tuple[str, ...]
+    keys: tuple[str, ...]
+    rows: tuple[tuple[str, str], ...]
+
+    def rigs(self, folder: Path) -> dict[str, dict[str, Any]]:
+        """What the sources' reports in ``folder`` say, by the rig's name."""
+        return {Path(source).name: kept(folder, source)["rig"] for source in self.sources}
+
+
+def table_of(found: re.Match[str]) -> Table:
+    rows = [line.partition(":") for line in (found["rows"] or "").strip().splitlines()]
+    return Table(
+        found["kind"],
+        tuple(found["sources"].split()),
+        tuple((found["keys"] or "").split()),
+        tuple((key.strip(), name.strip()) for key, _, name in rows),
+    )
+
+
+def kept(folder: Path, source: str) -> dict[str, Any]:
+    """What pages cite of a rig's report, as `keep` wrote it."""
+    cited: dict[str, Any] = json.loads((folder / f"{source}.json").read_text("utf-8"))
+    return cited
+
+
+def filled(page: str, folder: Path = KEPT) -> str:
+    """The page with each table made anew from the reports in ``folder``."""
+
+    def text(found: re.Match[str]) -> str:
+        table = table_of(found)
         try:
-            rigs = {rig: json.loads((full / file).read_text("utf-8"))["rigs"][rig] for file, rig in reports}
-            return opening + "\n".join(lines(rigs, questions, keys.split())) + "\n" + end
-        except KeyError as unknown:
-            raise SystemExit(f"{opening}names {unknown}, which its reports do not have; correct it") from None
+            return found["opening"] + "\n".join(KINDS[table.kind](table, folder)) + "\n" + found["end"]
+        except (KeyError, FileNotFoundError) as unknown:
+            raise SystemExit(f"{found['opening']}names {unknown}, which its reports do not have; correct it") from None
 
-    return TABLE.sub(table, page)
+    return INLINE.sub(lambda found: sentence_figure(found, folder), TABLE.sub(text, page))
 
 
-def lines(rigs: dict[str, dict[str, Any]], questions: dict[str, str], keys: list[str]) -> list[str]:
-    """A table with a column for each rig, of one rig for each figure, where questions have no names.
+def sentence_figure(found: re.Match[str], folder: Path) -> str:
+    opening, source, key, one, other, end = found.groups()
+    rig = kept(folder, source)["rig"]
+    value = row_of(rig, one)["figures"][key]
+    text = FIGURES[key].write(value) if other is None else f"{value - row_of(rig, other)['figures'][key]:+.2f}"
+    return opening + text + end
 
-    ``questions``: by their keys, their names here; ``keys``: of FIGURES.
-    """
-    named = any(name.strip() for name in questions.values())
+
+def lines(table: Table, folder: Path) -> list[str]:
+    """A table with a column for each rig, of one rig for each figure, where questions have no names."""
+    rigs, named = table.rigs(folder), any(name for _, name in table.rows)
     if len(rigs) == 1 and not named:
-        return by_figure(*rigs.values(), questions, keys)
-    units = ", ".join(FIGURES[key].heading for key in keys)
+        return by_figure(*rigs.values(), table)
+    units = ", ".join(FIGURES[key].heading for key in table.keys)
     headings = [f"`{rig}`" + (f": {units}" if number == 0 else "") for number, rig in enumerate(rigs)]
     if named:
-        rows = [[name.strip(), *(variants(rig, key, keys) for rig in rigs.values())] for key, name in questions.items()]
+        rows = [[name, *(variants(rig, key, table.keys) for rig in rigs.values())] for key, name in table.rows]
     else:
-        rows = [row for key in questions for row in row_each(rigs, key, keys)]
-    return ["| " + " | ".join(row) + " |" for row in [["", *headings], ["---"] * (len(rigs) + 1), *rows]]
+        rows = [row for key, _ in table.rows for row in row_each(rigs, key, table.keys)]
+    return markdown(["", *headings], rows)
 
 
-def variants(rig: dict[str, Any], question: str, keys: list[str]) -> str:
+def by_figure(rig: dict[str, Any], table: Table) -> list[str]:
+    """A row for each variant, a column for each figure that any of them has."""
+    rows = {identity(row): row for key, _ in table.rows for row in rows_of(rig, key) if "figures" in row}
+    units = {key: FIGURES[key].heading for key in table.keys}
+    shown = [key for key in units if any(row["figures"].get(key) is not None for row in rows.values())]
+    cells = [[row["description"], *(written(row["figures"], key) for key in shown)] for row in rows.values()]
+    return markdown(["", *(units[key] for key in shown)], cells)
+
+
+def by_rig(table: Table, folder: Path) -> list[str]:
+    """A row for each rig, a column for each figure of one variant."""
+    ((path, _),) = table.rows
+    cells = [
+        [f"`{name}`", *(written(row_of(rig, path)["figures"], key) for key in table.keys)]
+        for name, rig in table.rigs(folder).items()
+    ]
+    return markdown(["", *(FIGURES[key].heading for key in table.keys)], cells)
+
+
+def differences(table: Table, folder: Path) -> list[str]:
+    """A row for each variant that has differences on any rig, a column for each rig."""
+    rigs, ((key, _),) = table.rigs(folder), table.rows
+    by_rig = [{identity(row): row for row in rows_of(rig, key)} for rig in rigs.values()]
+    names = {identity(row): row["description"] for rig in rigs.values() for row in rows_of(rig, key)}
+    cells = [
+        [name, *(changes(rows.get(variant, {}).get("differences", {})) for rows in by_rig)]
+        for variant, name in names.items()
+    ]
+    return markdown(["", *(f"`{rig}`" for rig in rigs)], [row for row in cells if set(row[1:]) != {"–"}])
+
+
+def changes(row: dict[str, Any]) -> str:
+    """dB with its error, in bold beyond two of them, and per cent of bytes and time; a dash where there are none."""
+    shown = [row[key] for key in DIFFERENCES if key in row]
+    if len(shown) < len(DIFFERENCES):
+        return "–"
+    moving, *shares = shown
+    error = moving["error"]
+    text = f"{moving['mean']:+.2f}" + ("" if error is None else f" ± {error:.2f}")
+    clear = error is not None and abs(moving["mean"]) > 2 * error and text[1:5] != "0.00"
+    return ", ".join([f"**{text}**" if clear else text, *(f"{share['mean']:+.0f} %" for share in shares)])
+
+
+def against(table: Table, folder: Path) -> list[str]:
+    """A row for each rig: the first variant against the second."""
+    (ours, _), (theirs, _) = table.rows
+    rows = [
+        [f"`{name}`", *shares(row_of(rig, ours)["figures"], row_of(rig, theirs)["figures"])]
+        for name, rig in table.rigs(folder).items()
+    ]
+    return markdown(["", "dB where things move", "flicker", "CPU-s", "bytes"], rows)
+
+
+def shares(ours: dict[str, float], theirs: dict[str, float]) -> list[str]:
+    """dB more, and one part in so many of what the other takes."""
+    moving, *others = AGAINST
+    return [f"{ours[moving] - theirs[moving]:+.2f}", *(f"1/{theirs[key] / ours[key]:.3g}" for key in others)]
+
+
+def made(table: Table, folder: Path) -> list[str]:
+    """Which code made the reports, when, on what, and in how long."""
+    facts = [kept(folder, source)["made"] for source in table.sources]
+    codes = " and ".join(dict.fromkeys(fact["commit"] for fact in facts))
+    days = " to ".join(sorted({fact["day"] for fact in facts}))
+    machines = "; ".join(dict.fromkeys(fact["machine"] for fact in facts))
+    seconds = sum(fact["processor_seconds"] for fact in facts)
+    return [f"*Made {days} by commit {codes} on {machines}: {seconds / 60:.0f} processor minutes of encoding.*"]
+
+
+KINDS: dict[str, Callable[[Table, Path], list[str]]] = {
+    "table": lines,
+    "rigs": by_rig,
+    "differences": differences,
+    "against": against,
+    "made": made,
+}
+
+
+def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return ["| " + " | ".join(row) + " |" for row in [headings, ["---"] * len(headings), *rows]]
+
+
+def variants(rig: dict[str, Any], question: str, keys: Sequence[str]) -> str:
     """All variants in one cell, a line each."""
     return "<br>".join(f"{row['description']}: {cell(row, keys)}" for row in rows_of(rig, question))
 
 
-def by_figure(rig: dict[str, Any], questions: dict[str, str], keys: list[str]) -> list[str]:
-    """A row for each variant, a column for each figure that any of them has."""
-    rows = {identity(row): row for question in questions for row in rows_of(rig, question) if "figures" in row}
-    units = {key: FIGURES[key].heading for key in keys}
-    shown = [key for key in keys if any(row["figures"].get(key) is not None for row in rows.values())]
-    cells = [[row["description"], *(written(row["figures"], key) for key in shown)] for row in rows.values()]
-    headings = ["", *(units[key] for key in shown)]
-    return ["| " + " | ".join(row) + " |" for row in [headings, ["---"] * len(headings), *cells]]
-
-
-def row_each(rigs: dict[str, dict[str, Any]], question: str, keys: list[str]) -> list[list[str]]:
+def row_each(rigs: dict[str, dict[str, Any]], question: str, keys: Sequence[str]) -> list[list[str]]:
     """A row for each variant; what is as in the first row is "=", and a row of nothing else is left out."""
     by_rig = [{identity(row): cell(row, keys) for row in rows_of(rig, question)} for rig in rigs.values()]
     names = {identity(row): row["description"] for row in rows_of(next(iter(rigs.values())), question)}
@@ -133,7 +267,13 @@ def rows_of(rig: dict[str, Any], question: str) -> list[dict[str, Any]]:
     return found
 
 
-def cell(row: dict[str, Any], keys: list[str]) -> str:
+def row_of(rig: dict[str, Any], path: str) -> dict[str, Any]:
+    """The row that ``QUESTION/VARIANT`` names."""
+    question, _, variant = path.partition("/")
+    return {identity(row): row for row in rows_of(rig, question)}[variant]
+
+
+def cell(row: dict[str, Any], keys: Sequence[str]) -> str:
     """The figures of a row, with their standard errors where several seeds were run; a dash where none was."""
     figures = row.get("figures", {})
     return ", ".join(written(figures, key) for key in keys) if figures else "–"
@@ -146,11 +286,91 @@ def written(figures: dict[str, Any], key: str) -> str:
     return FIGURES[key].write(value) + ("" if error is None else f" ± {FIGURES[key].write(error)}")
 
 
+def tables(pages: Sequence[Path]) -> Iterator[Table]:
+    """All that pages cite; a sentence's figure as a table of one or two rows."""
+    for page in pages:
+        text = page.read_text("utf-8")
+        yield from map(table_of, TABLE.finditer(text))
+        for _, source, key, *rows, _ in INLINE.findall(text):
+            yield Table("table", (source,), (key,), tuple((row, "") for row in rows if row))
+
+
+def pages() -> list[Path]:
+    return [HERE.parent / "README.md", *sorted(HERE.glob("*.md"))]
+
+
+def keep(full: Path) -> None:
+    """Writes into report/figures what the pages cite of the reports that ``full`` has."""
+    wanted = list(tables(pages()))
+    for source in sorted({source for table in wanted for source in table.sources}):
+        for path in (full / source).glob("*.json"):
+            report = json.loads(path.read_text("utf-8"))
+            (rig,) = report["rigs"].values()
+            cited: dict[str, Any] = {"questions": {}}
+            for table in wanted:
+                if source in table.sources:
+                    keep_rows(rig, cited, table)
+            target = KEPT / f"{source}.json"
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(json.dumps({"made": facts(report, path.parent), "rig": cited}, indent=1) + "\n", "utf-8")
+
+
+def keep_rows(rig: dict[str, Any], kept: dict[str, Any], table: Table) -> None:
+    """Adds the rows of the table's questions to those ``kept``, with the figures that it has."""
+    keys = [*table.keys, *(AGAINST if table.kind == "against" else ())]
+    names = {*keys, *(f"{key}_error" for key in keys)}
+    for question in dict.fromkeys(key.partition("/")[0] for key, _ in table.rows):
+        rows = rows_of(rig, question)
+        there = kept["questions"].setdefault(question, [row_alone(row) for row in rows])
+        for row, mine in zip(rows, there, strict=True):
+            figures = {
+                key: value for key, value in row.get("figures", {}).items() if key in names and value is not None
+            }
+            mine["figures"] = mine.get("figures", {}) | {key: rounded(value) for key, value in figures.items()}
+            if table.kind == "differences" and "differences" in row:
+                mine["differences"] = {key: value for key, value in row["differences"].items() if key in DIFFERENCES}
+
+
+def row_alone(row: dict[str, Any]) -> dict[str, Any]:
+    return {key: row[key] for key in ("variant", "rival", "description") if key in row}
+
+
+def rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def facts(report: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """What `made` says: the commit that is checked out, the machine, and processor seconds of all the report's runs."""
+    machine = report["machine"]
+    runs = {
+        run
+        for rig in report["rigs"].values()
+        for rows in rig["questions"].values()
+        for row in rows
+        for run in row.get("runs", {}).values()
+    }
+    seconds = sum(
+        frame["cpu_seconds"] for run in runs for frame in json.loads((folder / run).read_text("utf-8"))["frames"]
+    )
+    commit = subprocess.run(
+        ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True
+    )
+    return {
+        "command": report["command"],
+        "commit": commit.stdout.strip(),
+        "code": report["code"],
+        "day": report["written"][:10],
+        "machine": f"{machine['cores']} cores of {machine['cpu']}, Python {machine['python']}",
+        "processor_seconds": round(seconds),
+    }
+
+
 def main(full: Path) -> None:
-    """Tables of all pages, and the pictures that they show, as far as ``full`` has them."""
-    for page in sorted(HERE.glob("*.md")):
+    """Keeps what pages cite, makes their tables, and copies pictures that they show, as far as ``full`` has them."""
+    keep(full)
+    for page in pages():
         before = page.read_text("utf-8")
-        after = filled(before, full)
+        after = filled(before)
         if after != before:
             page.write_text(after, "utf-8")
             print(f"{page.name}: tables made anew")

@@ -73,6 +73,13 @@ _RECIPE = (
 
 QUESTIONS = (
     Question(
+        "default",
+        "The default",
+        "The preset with the detected effects.",
+        (DECOGS_AUTO,),
+        (("first", "psnr", "last", "psnr_dynamic", "last_dynamic"), ("keyframe_bytes", "megabytes", "cpu", "selected")),
+    ),
+    Question(
         "methods",
         "Methods side by side",
         "The same keyframe, views and rasteriser for all. The last row sends nothing: what its static PSNR loses over "

@@ -113,6 +113,7 @@ COLUMNS: dict[str, Column] = {
         lambda run, _: run.frames[-1].psnr_dynamic,
         ".2f",
     ),
+    "first": Column("PSNR, first frame", "dB over the whole picture", lambda run, _: run.frames[0].psnr, ".2f"),
     "last": Column("PSNR, last frame", "dB over the whole picture", lambda run, _: run.frames[-1].psnr, ".2f"),
     "last_static": Column(
         "static, last frame",

@@ -129,7 +129,7 @@ def test_another_scene_gets_a_keyframe(cut_rig: Path, encode: Any, tiny_settings
     assert min(gain[2:]) > 1, gain
 
 
-@pytest.mark.parametrize("drifting", [(), ("cam01",)])
+@pytest.mark.parametrize("drifting", [(), pytest.param(("cam01",), marks=pytest.mark.slow)])
 def test_an_encode_with_a_cut_is_resumed_to_the_same_bytes(
     cut_rig: Path, encode: Any, tiny_settings: Any, tmp_path: Path, drifting: tuple[str, ...]
 ) -> None:

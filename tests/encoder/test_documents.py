@@ -172,7 +172,12 @@ def run_line(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
             piped = output.buffer.getvalue()  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("document", [ROOT / "README.md", *DOCS], ids=lambda path: path.name)
+LONG = {"calibrate.md", "cameras-and-effects.md", "cameras.md", "film.md", "synchronise.md", "takes.md"}
+"""Pages whose commands take a minute and more on a slow machine."""
+SHOWN = [pytest.param(page, marks=[pytest.mark.slow] * (page.name in LONG)) for page in (ROOT / "README.md", *DOCS)]
+
+
+@pytest.mark.parametrize("document", SHOWN, ids=lambda path: path.name)
 def test_what_is_shown_runs(document: Path, at_the_rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for line in commands_of(document):
         run_line(line, monkeypatch)

@@ -178,6 +178,7 @@ def dark_borders(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return rig
 
 
+@pytest.mark.slow
 def test_a_left_out_camera_is_better_and_a_trained_one_keeps_its_border(dark_borders: Path, tmp_path: Path) -> None:
     psnr = {}
     for name, effects in (("found", "motion,lens_falloff"), ("blind", "motion")):

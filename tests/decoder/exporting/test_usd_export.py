@@ -172,7 +172,7 @@ def instances(stage: Usd.Stage, time: float) -> dict[int, NDArray[np.float64]]:
     return places
 
 
-@pytest.mark.parametrize("take", ["short", "long"])
+@pytest.mark.parametrize("take", ["short", pytest.param("long", marks=pytest.mark.slow)])
 def test_velocities_lead_to_the_next_frame(tmp_path: Path, take: str) -> None:
     """A second, in units of the world: times 25 what lies between a frame and the next, 0 for who is not in both.
 
@@ -213,7 +213,8 @@ def test_a_file_without_velocities_has_no_attribute_for_them(exported: tuple[lis
 
 
 @pytest.mark.parametrize(
-    ("everywhere", "frames", "most"), [(False, (10, 80), 8.2), (True, (10, 80), 8.2), (True, (80, 160), 2.1)]
+    ("everywhere", "frames", "most"),
+    [(False, (10, 80), 8.2), (True, (10, 80), 8.2), pytest.param(True, (80, 160), 2.1, marks=pytest.mark.slow)],
 )
 def test_a_file_grows_with_the_take_and_not_with_its_square(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, everywhere: bool, frames: tuple[int, int], most: float

@@ -122,6 +122,7 @@ def steady_and_flickering(tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     return streams
 
 
+@pytest.mark.slow
 def test_lamps_cost_next_to_nothing(steady_and_flickering: dict[str, Path]) -> None:
     """Neither keyframes nor pictures, and the bytes of phases and strengths."""
     steady, lit = (info(path) for path in steady_and_flickering.values())

@@ -53,6 +53,7 @@ def test_detected_effects_are_decided_once(make: Make, settings: EncodeSettings,
     assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
 
 
+@pytest.mark.slow
 def test_wide_lenses_are_joined_and_resumed(make: Make, tiny_rig: Any, tmp_path: Path) -> None:
     """Their blank borders are the same in every part, and the camera's drift is found within what was recorded."""
     wide = tiny_rig.write(tmp_path / "wide", frames=(0, 1, 3, 1), faults=drifting, lens=(-0.25, 0.0, 0.0, 0.0))
@@ -69,6 +70,7 @@ def test_wide_lenses_are_joined_and_resumed(make: Make, tiny_rig: Any, tmp_path:
     assert np.diff(exposures) == pytest.approx([100, 100, 100], abs=30), "of pictures of 64x48"
 
 
+@pytest.mark.slow
 def test_metrics_are_joined_too(make: Make, tmp_path: Path) -> None:
     one = make(tmp_path / "one.dgs", metrics=True)
     with one.open("rb") as file:
@@ -87,7 +89,7 @@ def test_metrics_are_joined_too(make: Make, tmp_path: Path) -> None:
     [{"switches": Switches("paper")}, {"switches": Switches("3dgstream")}, {"targets": Targets(target_psnr=24.0)}],
     ids=["paper", "3dgstream", "target"],
 )
-@pytest.mark.parametrize("imported", [False, True], ids=["trained", "imported"])
+@pytest.mark.parametrize("imported", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["trained", "imported"])
 def test_whatever_method_target_and_keyframe(
     make: Make, moving: Any, moving_rig: Path, tmp_path: Path, options: dict[str, Any], imported: bool
 ) -> None:

@@ -207,6 +207,7 @@ def test_a_name_that_no_rig_could_state_is_refused(
     assert said.rstrip("\n").isprintable()
 
 
+@pytest.mark.slow
 def test_phones_are_brought_in_step_by_what_they_heard(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_phone_videos(tmp_path / "phones")
     given = [str(tmp_path / "phones"), "--board", BOARD, "-q"]

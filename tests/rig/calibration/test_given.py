@@ -121,6 +121,7 @@ def test_files_of_somebody_else_are_not_written_over(
     assert (tmp_path / name).read_text() == "{}"
 
 
+@pytest.mark.slow
 def test_a_calibration_replaces_its_like_but_not_lenses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_board_videos(tmp_path / "videos")
     lenses, placed = [[str(tmp_path / "videos"), "-q", "--board", BOARD, "-o", str(tmp_path / name)] for name in "lp"]

@@ -60,7 +60,7 @@ def mismatch_of(analysis: Analysis) -> Any:
     return next(finding for finding in analysis.findings if finding.decision.effect == "colour_mismatch")
 
 
-@pytest.mark.parametrize("name", ["grey", "floor"])
+@pytest.mark.parametrize("name", ["grey", pytest.param("floor", marks=pytest.mark.slow)])
 def test_cameras_alike_are_not_told_apart(analysed: Callable[[str], Analysis], name: str) -> None:
     """On the floor of tiles matches are wrong by a tile, where the light is another."""
     assert not mismatch_of(analysed(name)).decision.detected

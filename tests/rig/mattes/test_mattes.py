@@ -461,6 +461,7 @@ def test_an_analysis_refuses_mattes_that_do_not_agree(
     assert "mattes agree" not in "".join(capsys.readouterr())
 
 
+@pytest.mark.slow
 def test_an_analysis_says_that_mattes_agree_and_names_those_of_later_frames_that_are_lost(
     green: Path, masks: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
