@@ -22,6 +22,7 @@ from .metrics import BytePicture, Mask, aligned, psnr, square_error_map
 from .perceptual import NOT_INSTALLED, Distance
 from .regions import Regions
 from .shot import Metric, Shot
+from .stlpips import st_lpips
 
 
 def metric(
@@ -78,6 +79,14 @@ class FrameQuality:
         lambda shot: flip(shot.seen, shot.recorded),
         "FLIP",
         "over the whole picture, 0 is best",
+        4,
+        nothing=NOT_INSTALLED,
+        later=True,
+    )
+    st_lpips: float | None = metric(
+        lambda shot: st_lpips(shot.seen, shot.recorded),
+        "ST-LPIPS",
+        "over the whole picture, 0 is best; hardly moved by a shift of a pixel",
         4,
         nothing=NOT_INSTALLED,
         later=True,

@@ -80,7 +80,7 @@ QUESTIONS = (
         (*METHODS, HELD),
         (
             ("psnr", "psnr_dynamic", "psnr_static", "slope", "slope_dynamic", "static_change"),
-            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "flip"),
+            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "st_lpips", "flip"),
             ("psnr_worst_camera", "psnr_worst_frame", "psnr_worst_5", "psnr_change", "mtv", "mtv_undisturbed"),
             _COST,
         ),
