@@ -180,6 +180,9 @@ def _report(options: argparse.Namespace) -> None:
     from .spent import read_spent
 
     output, stream = Path(options.output), Path(options.stream)
+    is_fence = output.suffix.lower() == ".json"
+    if is_fence:
+        _check_fence(options)
     check_outputs([Output("output", output)], files_read(stream=stream, log=options.log, against=options.against))
     with open_stream(stream) as opened:
         title = options.title or opened.header.presentation.title or stream.stem
@@ -189,12 +192,19 @@ def _report(options: argparse.Namespace) -> None:
     )
     rig = rig_in_step(options)
     with progress("comparing", quiet=options.quiet) as on_frame:
-        if output.suffix.lower() == ".json":
+        if is_fence:
             text = fence(stream, rig, on_frame, options.threads)
         else:
             text = report(stream, rig, title, on_frame, options.threads, extras)
     write_whole(output, text.encode())
     print_text(f"{printable(str(output))}: {size_text(len(text))}")
+
+
+def _check_fence(options: argparse.Namespace) -> None:
+    """The map has no place for what pages say: better no file than one without what was asked for."""
+    given = [f"`{name}`" for name in ("against", "log", "title") if getattr(options, name) is not None]
+    if given:
+        raise UsageError(f"{', '.join(given)}: for a page; leave out with an `output` that ends in .json")
 
 
 def verify_main(arguments: Sequence[str] | None = None) -> int:

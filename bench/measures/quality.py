@@ -22,6 +22,7 @@ from .metrics import BytePicture, Mask, aligned, psnr, square_error_map
 from .perceptual import NOT_INSTALLED, Distance
 from .regions import Regions
 from .shot import Metric, Shot
+from .stlpips import st_lpips
 
 
 def metric(
@@ -82,6 +83,14 @@ class FrameQuality:
         nothing=NOT_INSTALLED,
         later=True,
     )
+    st_lpips: float | None = metric(
+        lambda shot: st_lpips(shot.seen, shot.recorded),
+        "ST-LPIPS",
+        "over the whole picture, 0 is best; hardly moved by a shift of a pixel",
+        4,
+        nothing=NOT_INSTALLED,
+        later=True,
+    )
     psnr_change: float | None = metric(
         lambda shot: shot.psnr_of_change(shot.regions.dynamic),
         "change",
@@ -111,6 +120,14 @@ class FrameQuality:
     )
 
 
+@dataclass(frozen=True)
+class FrameOfViews(FrameQuality):
+    """One frame, the means over held-out cameras; ``psnr_of_views``: PSNR over the whole picture of each of them, in
+    their order, dB; None in a file from before it was kept."""
+
+    psnr_of_views: list[float] | None = field(default=None, kw_only=True)
+
+
 METRICS: Mapping[str, Metric] = {f.name: f.metadata["metric"] for f in fields(FrameQuality)}
 """By the field of FrameQuality that keeps it."""
 
@@ -131,14 +148,18 @@ class StreamQuality:
 
     ``decode_cpu_seconds``: the median of reading and rendering one, in processor seconds, all cores added.
     ``read_cpu_seconds``: of reading one, the mean, since some formats read all frames with the first.
+    ``first_cpu_seconds``: of reading and rendering the first. ``errors``: of each view, the mean square error of every
+    pixel over frames and channels, (H, W), of pictures in 0..1.
     """
 
-    frames: list[FrameQuality]
+    frames: list[FrameOfViews]
     render_seconds: float
     read_seconds: float
     decode_cpu_seconds: float
     read_cpu_seconds: float
+    first_cpu_seconds: float
     column: NDArray[np.uint8]
+    errors: list[NDArray[np.float64]]
 
 
 def measure_scenes(
@@ -156,7 +177,8 @@ def measure_scenes(
     ``header`` has the cameras; ``scenes``, a frame each, are read as they are needed. Every frame is rendered, also one
     in which nothing changed. ``column``: which one of the first camera to keep; rendering is timed on that camera.
     """
-    frames: list[FrameQuality] = []
+    frames: list[FrameOfViews] = []
+    errors = [np.zeros((), np.float64)] * len(views)
     rendering: list[float] = []
     reading: list[float] = []
     reading_cpu: list[float] = []
@@ -177,7 +199,9 @@ def measure_scenes(
             seconds, spent = time.perf_counter() - began, cpu_seconds() - began_cpu
             seen = to_8bit(image)
             shown, recorded = before[number]
-            of_views.append(_quality(Shot(seen, target, shown, view.regions, matte, distance, recorded)))
+            shot = Shot(seen, target, shown, view.regions, matte, distance, recorded)
+            of_views.append(_quality(shot))
+            errors[number] = errors[number] + shot.errors.mean(axis=2)
             before[number] = seen, target
             if number == 0:
                 rendering.append(seconds)
@@ -190,7 +214,9 @@ def measure_scenes(
         read_seconds=median(reading),
         decode_cpu_seconds=median(decoding),
         read_cpu_seconds=fmean(reading_cpu),
+        first_cpu_seconds=decoding[0],
         column=np.stack(columns, axis=1),
+        errors=[total / len(frames) for total in errors],
     )
 
 
@@ -204,7 +230,8 @@ def _quality(shot: Shot) -> FrameQuality:
     return FrameQuality(**{name: measure.value(shot) for name, measure in METRICS.items()})
 
 
-def _mean(of_views: Sequence[FrameQuality]) -> FrameQuality:
+def _mean(of_views: Sequence[FrameQuality]) -> FrameOfViews:
     """The means over cameras, of those that have a value."""
     values = {name: [v for each in of_views if (v := getattr(each, name)) is not None] for name in METRICS}
-    return FrameQuality(**{name: fmean(present) if present else None for name, present in values.items()})
+    means = {name: fmean(present) if present else None for name, present in values.items()}
+    return FrameOfViews(**means, psnr_of_views=values["psnr"])

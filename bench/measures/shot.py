@@ -31,7 +31,8 @@ class Shot:
     recorded_before: BytePicture | None = None
 
     @cached_property
-    def _errors(self) -> Map:
+    def errors(self) -> Map:
+        """Squared error of every pixel and channel, (H, W, 3), of pictures in 0..1."""
         return square_error_map(self.seen, self.recorded)
 
     @cached_property
@@ -40,7 +41,7 @@ class Shot:
 
     def psnr(self, mask: Mask | None = None) -> float | None:
         """dB over the pixels of ``mask``, or all; None where it holds none."""
-        return psnr(self._errors, mask)
+        return psnr(self.errors, mask)
 
     def ssim(self, mask: Mask | None = None) -> float | None:
         """Its map's mean over the pixels of ``mask``, or all; None where it holds none."""

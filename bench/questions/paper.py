@@ -87,8 +87,8 @@ QUESTIONS = (
         (*METHODS, HELD),
         (
             ("psnr", "psnr_dynamic", "psnr_static", "slope", "slope_dynamic", "static_change"),
-            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "flip"),
-            ("psnr_change", "mtv", "mtv_undisturbed"),
+            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "st_lpips", "flip"),
+            ("psnr_worst_camera", "psnr_worst_frame", "psnr_worst_5", "psnr_change", "mtv", "mtv_undisturbed"),
             _COST,
         ),
     ),
@@ -150,6 +150,6 @@ QUESTIONS = (
     ),
 )
 
-TIME, SCANLINES = "time", "scanlines"
-FIGURES = {TIME: METHODS, SCANLINES: (DECOGS_AUTO, BASELINE)}
+TIME, SCANLINES, ERRORS = "time", "scanlines", "errors"
+FIGURES = {TIME: METHODS, SCANLINES: (DECOGS_AUTO, BASELINE), ERRORS: (DECOGS_AUTO, DECOGS_PAPER, BASELINE)}
 """Keys of the figures, for ``--only``, and the variants they show."""

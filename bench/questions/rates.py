@@ -16,7 +16,10 @@ QUESTIONS = (
         "Rates",
         "The same recipe at several rates, each from a keyframe of its own.",
         RATE_POINTS,
-        (("psnr", "psnr_dynamic", "psnr_static", "psnr_subject", "mtv", "selected", "cpu", "gaussians"),),
+        (
+            ("psnr", "psnr_dynamic", "psnr_static", "psnr_subject", "mtv", "selected", "cpu", "gaussians"),
+            ("psnr_worst_camera", "psnr_worst_frame", "psnr_worst_5"),
+        ),
     ),
 )
 

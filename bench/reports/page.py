@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,16 @@ from ..runs.results import RigResults
 from ..runs.rig_bench import RigBench
 from ..runs.rivals import RatePoint, point_of, point_of_rival, rival_file
 from ..runs.run import KEYFRAME, Run
-from ..tables.columns import COLUMNS, NOT_RUN, markdown, number
+from ..tables.bd_rates import ABOUT, bd_rate_table, bd_rates
+from ..tables.columns import COLUMNS, NOT_RUN, markdown, number, psnr_of_cameras
 from ..tables.differences import difference_table
 from .plans import Contest, Plan
-from .plots import plot_effort, plot_quality, plot_rates, plot_scanlines, plot_trade
+from .plots import ErrorMaps, plot_effort, plot_errors, plot_quality, plot_rates, plot_scanlines, plot_trade
 from .trade import QUALITY, points_of
 
 _RATE_HEADINGS = (
     "", "PSNR", "dynamic", "static", "subject", "mTV ×100", "first frame, kB", "s to it at 2 Mbit/s",
-    "kB/frame after it", "× ours", "kB/frame, all", "CPU-ms to read", "how",
+    "s to a usable picture", "kB/frame after it", "× ours", "kB/frame, all", "CPU-ms to read", "how",
 )  # fmt: skip
 
 
@@ -135,7 +136,15 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
         "",
         *(f"- {', '.join(names)}: {about}" for about, names in notes.items()),
         "",
+        *_bd_rates(contest, result),
     ]
+
+
+def _bd_rates(contest: Contest, result: RigResults) -> list[str]:
+    """Rivals' curves against the anchor's."""
+    points = result.rate_points({variant.description: variant for variant in contest.rates})
+    rows = bd_rates(points, contest.anchor)
+    return [f"### BD-rate against {contest.anchor}", "", ABOUT, "", *bd_rate_table(rows), ""] if rows else []
 
 
 def _front_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
@@ -167,6 +176,7 @@ def _rate_row(point: RatePoint, source: Run | None, name: str) -> list[str]:
         number(".4f")(point.mtv),
         first,
         f"{point.first_seconds:.2f}",
+        number(".2f")(point.usable_seconds),
         later,
         number(".2f")(times),
         every,
@@ -198,11 +208,10 @@ def _figures(plan: Plan, result: RigResults, folder: Path) -> list[str]:
     pictures = folder / "pictures"
     pictures.mkdir(exist_ok=True)
     lines: list[str] = []
-    curve = _labelled(result, plan.figures.get(rates.CURVES, ()))
-    if curve:
+    curve = {variant.description: variant for variant in plan.figures.get(rates.CURVES, ())}
+    if any(map(result.run_of, curve.values())):
         name = f"{bench.name}-rates.png"
-        points = [point_of(run, label) for label, run in curve.items()]
-        plot_rates(pictures / name, points + [point_of_rival(run) for run in result.rivals.values()])
+        plot_rates(pictures / name, result.rate_points(curve))
         lines += ["### Rate and distortion", "", f"![PSNR over bytes per frame](pictures/{name})", ""]
     over_time = _labelled(result, plan.figures.get(paper.TIME, ()))
     if over_time:
@@ -225,7 +234,31 @@ def _figures(plan: Plan, result: RigResults, folder: Path) -> list[str]:
             f"![a column of pixels over time](pictures/{name})",
             "",
         ]
-    return lines
+    return lines + _error_maps(result, pictures, _labelled(result, plan.figures.get(paper.ERRORS, ())))
+
+
+def _error_maps(result: RigResults, pictures: Path, runs: Mapping[str, Run]) -> list[str]:
+    """Where each run is wrong, camera by camera; runs that an older bench measured have no maps."""
+    bench = result.bench
+    mapped = [
+        ErrorMaps(label, maps, dict(zip(bench.cameras, psnr_of_cameras(run), strict=True)))
+        for label, run in runs.items()
+        if (maps := bench.errors_of(run))
+    ]
+    if not mapped:
+        return []
+    name = f"{bench.name}-errors.png"
+    plot_errors(pictures / name, {camera: bench.recorded_first(camera) for camera in bench.cameras}, mapped)
+    return [
+        "### Where the errors are",
+        "",
+        "Every held-out camera: what it recorded in the first frame, and how far each pixel is from what was recorded, "
+        "the root of the mean square over all frames and the three channels, in 8-bit levels. One scale for all; its "
+        "end is what one pixel in two hundred exceeds. PSNR is the mean over frames.",
+        "",
+        f"![errors of every held-out camera](pictures/{name})",
+        "",
+    ]
 
 
 def _labelled(result: RigResults, variants: Sequence[Variant]) -> dict[str, Run]:
@@ -287,7 +320,9 @@ def _how_rivals() -> list[str]:
     return [
         "- First frame: all bytes that have to be there before it shows: of a stream the keyframe with header and "
         "index, of a file per frame the first file. The frames after it: the other bytes over the other frames. "
-        "× ours: those over the finest stream's. Seconds: what the line alone takes to bring it.",
+        "× ours: those over the finest stream's. Seconds to it: what the line alone takes to bring it. Seconds to a "
+        "usable picture: until the first frame is seen in full, with the processor time of reading and rendering it, "
+        "as on one core that begins when all of it is there.",
         "- Subject: inside the rig's true mattes of the held-out camera, frame by frame.",
         "- CPU-ms to read: processor milliseconds from bytes to a frame's Gaussians, the mean over all frames, without "
         "rendering. It is of the programs at hand: streams, PLY, SPZ, SOG, .splat and arrays by our readers; splats4d "

@@ -8,16 +8,21 @@ from dataclasses import dataclass, field
 from ..questions.variants import Question, Variant
 from ..rivals.sequences import Rival
 from ..runs.results import RigResults
+from ..runs.rivals import DECOGS
 from ..runs.run import KEYFRAME
 
 
 @dataclass(frozen=True)
 class Contest:
-    """The encoder's rates, finest first, and rivals that keep the frames of the finest; ``key`` for ``--only``."""
+    """The encoder's rates, finest first, and rivals that keep the frames of the finest; ``key`` for ``--only``.
+
+    ``anchor``: the family that BD-rates are against.
+    """
 
     key: str
     rates: tuple[Variant, ...]
     rivals: tuple[Rival, ...]
+    anchor: str = DECOGS
 
     @property
     def source(self) -> Variant:

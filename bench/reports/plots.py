@@ -6,7 +6,9 @@ Needs the extra ``bench``.
 from __future__ import annotations
 
 import importlib.util
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +26,7 @@ from .trade import COSTS, QUALITY, Point, find_front, shown_range
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
 
 COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000", "#c0b000", "#999999", "#882255")
 """Distinct for colour-blind eyes, too: Okabe and Ito's, their yellow darkened to show as a dot, and two more."""
@@ -32,6 +35,8 @@ _DEVIATION = 12
 """8-bit levels from a pixel's own mean that are drawn as black or white."""
 _CHARACTERS_PER_INCH, _HANDLE_CHARACTERS = 13, 8
 """Of a legend in matplotlib's own size, and what its line and gap take besides a label."""
+_TITLE_CHARACTERS = 24
+"""Of a line of the title above an error map."""
 
 
 def require_plots() -> None:
@@ -152,6 +157,47 @@ def plot_scanlines(path: Path, strips: Mapping[str, NDArray[np.uint8]], column: 
         below.imshow(strayed, cmap="gray", vmin=-_DEVIATION, vmax=_DEVIATION, **shown)
         below.set_xlabel("frame")
     _save(figure, path, legend=False)
+
+
+@dataclass(frozen=True)
+class ErrorMaps:
+    """A run's maps of errors by camera, (H, W) in 8-bit levels, and those cameras' PSNR in dB."""
+
+    label: str
+    maps: Mapping[str, NDArray[np.float32]]
+    psnr: Mapping[str, float]
+
+
+def plot_errors(path: Path, recorded: Mapping[str, NDArray[np.uint8]], runs: Sequence[ErrorMaps]) -> None:
+    """A row for each camera of ``recorded``: that picture (H, W, 3), and each run's errors, all on one scale."""
+    columns, heights = 1 + len(runs), [picture.shape[0] / picture.shape[1] for picture in recorded.values()]
+    figure = _figure(2.6 * columns + 0.8, 0.5 + sum(2.6 * height + 0.2 for height in heights))
+    grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    end = max(float(np.quantile(np.concatenate([m.ravel() for run in runs for m in run.maps.values()]), 0.995)), 1.0)
+    all_axes, shown = [], None
+    for row, (camera, picture) in enumerate(recorded.items()):
+        first = _bare(figure, grid[row, 0], "" if row else "recorded")
+        first.imshow(picture)
+        first.set_ylabel(camera)
+        all_axes.append(first)
+        for column, run in enumerate(runs, 1):
+            title = "" if row else textwrap.fill(run.label, _TITLE_CHARACTERS)
+            axes = _bare(figure, grid[row, column], title)
+            shown = axes.imshow(run.maps[camera], cmap="inferno", vmin=0, vmax=end, interpolation="nearest")
+            axes.set_xlabel(f"{run.psnr[camera]:.2f} dB")
+            all_axes.append(axes)
+    assert shown is not None
+    figure.colorbar(shown, ax=all_axes, label="error, 8-bit levels", extend="max", aspect=30, pad=0.01)
+    _save(figure, path, legend=False)
+
+
+def _bare(figure: Figure, place: SubplotSpec, title: str) -> Axes:
+    """Axes of a picture, without ticks."""
+    axes = figure.add_subplot(place)
+    axes.set_title(title)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    return axes
 
 
 def _figure(width: float, height: float) -> Figure:

@@ -32,6 +32,7 @@ from ..runs.rigs import check_names
 from ..runs.rivals import find_rival, point_of, point_of_rival, rival_file, run_rival
 from ..runs.run import KEYFRAME, BenchOptions, Run
 from ..tables import differences
+from ..tables.bd_rates import bd_rates
 from ..tables.columns import NOT_RUN, figures
 from . import summaries
 from .page import report_page
@@ -234,6 +235,9 @@ def _rig_document(plan: Plan, result: RigResults) -> dict[str, Any]:
             *(_rate_document(variant, run) for variant in plan.contest.rates if (run := result.run_of(variant))),
             *(_rival_document(result, plan.contest, rival) for rival in plan.contest.rivals),
         ]
+        points = result.rate_points({variant.description: variant for variant in plan.contest.rates})
+        document["bd_rate_anchor"] = plan.contest.anchor
+        document["bd_rates"] = [row.document() for row in bd_rates(points, plan.contest.anchor)]
     return document
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from ..questions.variants import Question, Variant
 from .rig_bench import RigBench
-from .rivals import RivalRun
+from .rivals import RatePoint, RivalRun, point_of, point_of_rival
 from .run import KEYFRAME, Run
 
 
@@ -30,6 +31,12 @@ class RigResults:
     def run_of(self, variant: Variant) -> Run | None:
         """The variant's run with the first seed, for what shows one run; None when it was not made."""
         return self.runs.get(self.bench.key(variant))
+
+    def rate_points(self, labels: Mapping[str, Variant]) -> list[RatePoint]:
+        """The streams of ``labels`` and all rivals as points, those that are there."""
+        runs = {label: self.run_of(variant) for label, variant in labels.items()}
+        ours = [point_of(run, label) for label, run in runs.items() if run is not None]
+        return ours + [point_of_rival(run) for run in self.rivals.values()]
 
     def reference(self, question: Question) -> Variant | None:
         """The row that the question's other rows are compared with; None when there is none."""

@@ -20,6 +20,7 @@ from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -47,10 +48,11 @@ from ..estimates import rounded
 from ..machine import code_version, load, machine_facts
 from ..measures.metrics import BytePicture
 from ..measures.perceptual import installed_network, perceptual_distance
-from ..measures.quality import FrameQuality, HeldOut, StreamQuality, measure_scenes
+from ..measures.quality import FrameOfViews, HeldOut, StreamQuality, measure_scenes
 from ..measures.regions import Regions, find_regions, held_out_pictures, static_column, true_mattes
 from ..questions.variants import Variant, settings_of
 from ..timing import TIMINGS, retimed
+from . import error_maps
 from .documents import digest, document
 from .rigs import held_out_cameras, result_name
 from .run import FORMAT, KEYFRAME, BenchOptions, FrameCost, Run, RunFrame, read_run
@@ -158,6 +160,20 @@ class RigBench:
             raise UsageError(f"{path}: is missing or damaged; remove {self.file_of(run).name} to make it again")
         return np.asarray(picture[..., ::-1], np.uint8)
 
+    def errors_of(self, run: Run) -> dict[str, NDArray[np.float32]]:
+        """Maps of the run's errors by held-out camera, as `error_maps` keeps them; none where an older bench ran."""
+        path = self.file_of(run).with_suffix(".npz")
+        try:
+            return dict(zip(self.cameras, error_maps.unpacked(path), strict=True))
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, KeyError, BadZipFile):
+            raise UsageError(f"{path}: is damaged; remove {self.file_of(run).name} to make it again") from None
+
+    def recorded_first(self, camera: str) -> BytePicture:
+        """What the camera recorded in the first frame, (H, W, 3)."""
+        return next(self._recorded(self.frames[:1], camera))
+
     def run(
         self,
         variant: Variant,
@@ -182,6 +198,7 @@ class RigBench:
             quality = self.measured(stream.header, scenes, self.frames_of(variant))
         run = self._result(variant, report, quality, loads)
         write_whole(self.file_of(run).with_suffix(".png"), _png(quality.column))
+        write_whole(self.file_of(run).with_suffix(".npz"), error_maps.packed(quality.errors))
         write_whole(self.file_of(run), document(run).encode())
         if not (keep_stream or self.options.keep_streams):
             report.output.unlink()
@@ -312,6 +329,7 @@ class RigBench:
             read_seconds=quality.read_seconds,
             decode_cpu_seconds=quality.decode_cpu_seconds,
             read_cpu_seconds=quality.read_cpu_seconds,
+            first_cpu_seconds=quality.first_cpu_seconds,
             stream_bytes=report.total_bytes,
             column=self.column,
             frames=[_frame(index, cost, looks) for index, cost, looks in pairs],
@@ -348,7 +366,7 @@ def _check_seeds(seeds: Sequence[int]) -> None:
         raise UsageError(f"`seeds`: give 1 to {MOST_SEEDS} different numbers of at least 0")
 
 
-def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
+def _frame(index: int, cost: FrameReport, looks: FrameOfViews) -> RunFrame:
     values = {f.name: getattr(cost, f.name) for f in fields(FrameCost)} | asdict(looks)
     values["frame"] = index
     values["seconds"] = {stage: seconds for stage, seconds in cost.seconds.items() if stage != "measure"}

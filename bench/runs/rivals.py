@@ -14,7 +14,7 @@ from decogs.formats.splats import Splats
 
 from ..estimates import mean, rounded
 from ..machine import code_version
-from ..measures.quality import FrameQuality, cpu_seconds
+from ..measures.quality import FrameOfViews, FrameQuality, cpu_seconds
 from ..questions.variants import Variant
 from ..rivals.sequences import Frames, Rival, SceneFrame, Sizes
 from .documents import digest, document, read_document
@@ -23,12 +23,14 @@ from .run import Run
 
 FORMAT = 2
 """Of the JSON files, and of what the rivals write: raise it when either changes."""
+DECOGS = "decogs"
+"""The family of the encoder's own streams."""
 LINE = 2e6
 """Bits a second: a slow line, at which PD-4DGS (arXiv 2605.11427) states the wait for the first picture."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RivalFrame(FrameQuality):
+class RivalFrame(FrameOfViews):
     """How one frame looks when it is read again; ``frame`` is the rig's index."""
 
     frame: int
@@ -40,7 +42,8 @@ class RivalRun:
 
     ``key``: digest of what decides it. ``source``: the stream's variant and key; ``code`` is what made that.
     ``coder``: the rival's settings. ``wait_bytes``: as in Sizes. ``write_cpu_seconds``: processor seconds to write
-    all frames; ``read_cpu_seconds``: to read one, the mean, rendering left out.
+    all frames; ``read_cpu_seconds``: to read one, the mean, rendering left out; ``first_cpu_seconds``: to read and
+    render the first, None in a file from before it was measured.
     """
 
     rig: str
@@ -59,6 +62,7 @@ class RivalRun:
     write_cpu_seconds: float
     read_cpu_seconds: float
     frames: list[RivalFrame]
+    first_cpu_seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -66,8 +70,9 @@ class RatePoint:
     """A row of the comparison and a point of the plot. PSNR in dB, means over all frames; bytes on disk.
 
     ``first_bytes``: all that comes with the first frame; ``first_seconds``: what `LINE` takes to bring what has to be
-    there before that shows; ``later_bytes``: the rest over the later frames. ``mtv``: flicker, as mTV x100.
-    ``read_ms``: processor milliseconds from bytes to a frame's Gaussians.
+    there before that shows; ``usable_seconds``: that and the processor time to read and render it, until one core shows
+    the first frame in full, None where it was not measured; ``later_bytes``: the rest over the later frames. ``mtv``:
+    flicker, as mTV x100. ``read_ms``: processor milliseconds from bytes to a frame's Gaussians.
     """
 
     label: str
@@ -79,6 +84,7 @@ class RatePoint:
     mtv: float | None
     first_bytes: int
     first_seconds: float
+    usable_seconds: float | None
     later_bytes: float
     frame_bytes: float
     read_ms: float | None
@@ -87,13 +93,13 @@ class RatePoint:
 def point_of(run: Run, label: str) -> RatePoint:
     """A stream as a point; what lies around its packets counts with the first frame."""
     first = run.stream_bytes - sum(frame.bytes for frame in run.frames[1:])
-    return _point(label, "decogs", run.frames, Sizes(first, run.stream_bytes), run.read_cpu_seconds)
+    return _point(label, DECOGS, run, Sizes(first, run.stream_bytes))
 
 
 def point_of_rival(run: RivalRun) -> RatePoint:
     """Rate and distortion of another way to keep the same frames."""
     sizes = Sizes(run.first_bytes, run.total_bytes, run.wait_bytes)
-    return _point(run.description, run.family, run.frames, sizes, run.read_cpu_seconds)
+    return _point(run.description, run.family, run, sizes)
 
 
 def rival_file(bench: RigBench, source: Variant, rival: Rival) -> Path:
@@ -135,6 +141,7 @@ def run_rival(
         wait_bytes=sizes.wait,
         write_cpu_seconds=rounded(written),
         read_cpu_seconds=rounded(quality.read_cpu_seconds),
+        first_cpu_seconds=rounded(quality.first_cpu_seconds),
         frames=[
             RivalFrame(**rounded(asdict(looks)), frame=index)
             for index, looks in zip(frames, quality.frames, strict=True)
@@ -164,10 +171,10 @@ def _key(bench: RigBench, source: Variant, rival: Rival) -> str:
     return digest({"format": FORMAT, "source": bench.key(source), "coder": repr(rival.coder)})
 
 
-def _point(
-    label: str, family: str, frames: Sequence[FrameQuality], sizes: Sizes, read_seconds: float | None
-) -> RatePoint:
+def _point(label: str, family: str, run: Run | RivalRun, sizes: Sizes) -> RatePoint:
+    frames: Sequence[FrameQuality] = run.frames
     variation = mean(frame.variation for frame in frames)
+    on_the_line = 8 * max(sizes.first, sizes.wait) / LINE
     return RatePoint(
         label,
         family,
@@ -177,8 +184,9 @@ def _point(
         mean(frame.psnr_subject for frame in frames),
         None if variation is None else 100 * variation,
         sizes.first,
-        8 * max(sizes.first, sizes.wait) / LINE,
+        on_the_line,
+        None if run.first_cpu_seconds is None else on_the_line + run.first_cpu_seconds,
         (sizes.total - sizes.first) / (len(frames) - 1),
         sizes.total / len(frames),
-        None if read_seconds is None else 1e3 * read_seconds,
+        None if run.read_cpu_seconds is None else 1e3 * run.read_cpu_seconds,
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 from decogs.formats.frames.ranges import Frames
 
-from ..measures.quality import FrameQuality
+from ..measures.quality import FrameOfViews
 from ..questions.variants import Variant
 from .documents import read_document
 
@@ -57,7 +57,7 @@ class FrameCost:
 
 
 @dataclass(frozen=True)
-class RunFrame(FrameQuality, FrameCost):
+class RunFrame(FrameOfViews, FrameCost):
     """One frame of a run: what it cost and how it looks, in one line of the JSON file."""
 
 
@@ -68,7 +68,8 @@ class Run:
     ``key``: digest of what decides the run. ``span``: the rig's frames, start, stop and step. ``load``: of the machine
     before and after. ``changed``: settings that differ from the preset's. ``render_seconds``, ``read_seconds``: medians
     per frame. ``decode_cpu_seconds``: of both together, in processor seconds, all cores added; ``read_cpu_seconds``: to
-    read a frame, the mean; None in a file from before they were measured. ``stream_bytes``: the file's. ``column``:
+    read a frame, the mean; ``first_cpu_seconds``: to read and render the first; None in a file from before they were
+    measured. ``stream_bytes``: the file's. ``column``:
     image column of the held-out camera that is kept in the picture beside the JSON file.
     """
 
@@ -98,6 +99,7 @@ class Run:
     frames: list[RunFrame]
     decode_cpu_seconds: float | None = None
     read_cpu_seconds: float | None = None
+    first_cpu_seconds: float | None = None
 
 
 def read_run(path: Path) -> Run | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from statistics import fmean
 
 from ..estimates import NOTHING, Estimate, estimate, mean, written
 from ..measures.metrics import slope
@@ -83,6 +84,24 @@ def in_common(run: Run, runs: Sequence[Run]) -> float | None:
     return mean(frame.psnr for frame in run.frames if frame.frame in shared)
 
 
+def psnr_of_views(run: Run) -> list[list[float]]:
+    """PSNR over the whole picture in dB, frame by frame of every held-out camera; empty in files from before it."""
+    if "," not in run.camera:
+        return [[frame.psnr] for frame in run.frames if frame.psnr is not None]
+    return [frame.psnr_of_views for frame in run.frames if frame.psnr_of_views is not None]
+
+
+def psnr_of_cameras(run: Run) -> list[float]:
+    """The means of that over all frames, camera by camera."""
+    return [fmean(camera) for camera in zip(*psnr_of_views(run), strict=True)]
+
+
+def worst_pictures(run: Run, share: float) -> float | None:
+    """The mean of the lowest ``share`` of all frames of all cameras, at least one of them, dB."""
+    lowest = sorted(psnr for views in psnr_of_views(run) for psnr in views)
+    return fmean(lowest[: math.ceil(share * len(lowest)) or 1]) if lowest else None
+
+
 def static_change(run: Run) -> float | None:
     """PSNR over the static region in the last frame less that in the first, dB."""
     first, last = run.frames[0].psnr_static, run.frames[-1].psnr_static
@@ -115,6 +134,24 @@ COLUMNS: dict[str, Column] = {
     ),
     "first": Column("PSNR, first frame", "dB over the whole picture", lambda run, _: run.frames[0].psnr, ".2f"),
     "last": Column("PSNR, last frame", "dB over the whole picture", lambda run, _: run.frames[-1].psnr, ".2f"),
+    "psnr_worst_camera": Column(
+        "worst camera",
+        "PSNR in dB over the whole picture, mean over all frames, of the held-out camera where that is lowest",
+        lambda run, _: min(psnr_of_cameras(run), default=None),
+        ".2f",
+    ),
+    "psnr_worst_frame": Column(
+        "worst frame",
+        "the lowest PSNR in dB over the whole picture of any frame of any held-out camera",
+        lambda run, _: worst_pictures(run, 0),
+        ".2f",
+    ),
+    "psnr_worst_5": Column(
+        "worst 5 %",
+        "the same, mean of the worst 5 % of all frames of all held-out cameras, at least one",
+        lambda run, _: worst_pictures(run, 0.05),
+        ".2f",
+    ),
     "last_static": Column(
         "static, last frame",
         "PSNR in dB over the static region of the last frame",

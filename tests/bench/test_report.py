@@ -114,7 +114,7 @@ def test_the_papers_report(
     assert str(tmp_path) not in text + (folder / "paper.json").read_text()
     links = linked_files(text)
     assert all((folder / link).is_file() for link in links), "relative, and all there"
-    assert {f"pictures/three-{name}.png" for name in ("quality", "effort", "scanlines")} <= links
+    assert {f"pictures/three-{name}.png" for name in ("quality", "effort", "scanlines", "errors")} <= links
     for path in (folder / "pictures").glob("*.png"):
         assert cv2.imread(str(path)).std() > 10, "something is drawn"
         assert path.with_suffix(".pdf").read_bytes().startswith(b"%PDF"), "and for papers"
@@ -228,6 +228,7 @@ def test_rivals_keep_the_frames_of_the_finest_stream(
     assert ours["later_bytes"] == pytest.approx(1e6 * fine["megabytes"])
     for row in (ours, ply, spz, deltas):
         assert row["first_seconds"] == pytest.approx(8 * row["first_bytes"] / 2e6)
+        assert 0 < row["usable_seconds"] - row["first_seconds"] < 60
         assert row["read_ms"] > 0
         assert row["psnr_subject"] is None, "the rig has no mattes"
     assert ours["mtv"] == pytest.approx(fine["mtv"])
@@ -240,10 +241,14 @@ def test_rivals_keep_the_frames_of_the_finest_stream(
     assert spz["psnr"] < fine["psnr"] - 0.1
     assert spz["later_bytes"] < ply["later_bytes"]
     assert 1e6 * fine["megabytes"] < deltas["later_bytes"] < ply["later_bytes"]
+    assert rig["bd_rate_anchor"] == "decogs"
+    assert [row["rival"] for row in rig["bd_rates"]] == ["PLY", "SPZ", "float32"]
+    assert rig["bd_rates"][0]["missing"]["bd_rate"] == "1 point"
+    assert "### BD-rate against decogs\n" in path.read_text()
     assert ply["frame_bytes"] == pytest.approx((ply["first_bytes"] + 2 * ply["later_bytes"]) / 3)
     text = path.read_text()
     (line,) = [line for line in text.splitlines() if line.startswith("| decogs, fine |")]
-    assert [cell.strip() for cell in line.split("|")][10] == "1.00", "times itself"
+    assert [cell.strip() for cell in line.split("|")][11] == "1.00", "times itself"
     assert "- spz: Coarse." in text
     named = re.findall(r"`(three-\S+-[0-9a-f]{10})`", text)
     assert all((tmp_path / "runs" / f"{name}.json").is_file() for name in named)
@@ -266,7 +271,7 @@ def test_a_rival_that_fails_is_said_and_the_others_go_on(
     said: list[str] = []
     text = make_report(RACE, [three_frames], tmp_path, OPTIONS, on_warning=said.append).read_text()
     assert said == ["three spz: spz: out of luck"]
-    assert f"| a .spz each {11 * '| – '}| spz: out of luck |" in text
+    assert f"| a .spz each {12 * '| – '}| spz: out of luck |" in text
     assert "| float32 that changes | – |" not in text
 
 
@@ -275,7 +280,7 @@ def test_what_is_not_installed_is_said(three_frames: Path, tmp_path: Path, monke
     monkeypatch.setattr(FourDGS, "missing", lambda self: "not installed")
     text = make_report(replace(RATES, figures={}), [three_frames], tmp_path, OPTIONS, only=["none"]).read_text()
     assert text.count("| not installed |") == 4 + 4
-    assert text.count("| not run |") == 4 + 11, "streams, and rivals that need nothing"
+    assert text.count("| not run |") == 2 * 4 + 11, "streams in two tables, and rivals that need nothing"
 
 
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'")

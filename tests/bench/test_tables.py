@@ -68,6 +68,24 @@ def test_lpips_says_when_it_is_not_installed(run_of: Any, frame_of: Any, run: An
     assert value("lpips", measured) == "0.1500"
 
 
+def test_the_worst_is_of_cameras_and_frames(run_of: Any, frame_of: Any) -> None:
+    """Three cameras, of which the second is the worst on average, and the first in one frame; 5 % of 63 are four."""
+    views = [[30.0 + i, 25.0, 28.0] for i in range(20)] + [[10.0, 24.0, 22.0]]
+    run = run_of([frame_of(i, psnr=27.0, psnr_of_views=each) for i, each in enumerate(views)], camera="a,b,c")
+    assert value("psnr_worst_camera", run) == f"{(20 * 25 + 24) / 21:.2f}"
+    assert value("psnr_worst_frame", run) == "10.00"
+    assert value("psnr_worst_5", run) == f"{(10 + 22 + 24 + 25) / 4:.2f}"
+
+
+def test_the_worst_of_files_from_before_it_was_kept(run: Any, run_of: Any, frame_of: Any) -> None:
+    """One camera's mean is its own; of several, nobody knows."""
+    assert [value(key, run) for key in ("psnr_worst_camera", "psnr_worst_frame", "psnr_worst_5")] == [
+        "31.00", "30.00", "30.00",
+    ]  # fmt: skip
+    several = run_of([frame_of(0), frame_of(1)], camera="a,b")
+    assert [value(key, several) for key in ("psnr_worst_camera", "psnr_worst_frame", "psnr_worst_5")] == 3 * ["–"]
+
+
 def test_figures_are_numbers_of_one_run(run: Any) -> None:
     numbers = figures([run])
     assert numbers["megabytes"] == 0.002

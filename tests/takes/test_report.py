@@ -87,6 +87,23 @@ def test_the_map_alone_is_the_fence_of_a_player(
     assert within[rows, columns].mean() > 0.5
 
 
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        (["--against", "other.dgs"], "--against: for a page"),
+        (["--title", "", "--log", "encode.log"], "--log, --title: for a page"),
+    ],
+)
+def test_a_fence_refuses_what_only_a_page_says(
+    stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], named: str
+) -> None:
+    out = tmp_path / "fence.JSON"
+    assert report_main([str(stream), "--rig", str(RIG), "-o", str(out), *more, "-q"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert named in line
+    assert not out.exists()
+
+
 def test_two_streams_beside_each_other(stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One that was made darker is worse everywhere; the page says by how much."""
     other, page = tmp_path / "darker.dgs", tmp_path / "report.html"
