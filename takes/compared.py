@@ -128,7 +128,10 @@ def _common(header: StreamHeader, rig: Rig) -> list[str]:
         and (camera.width, camera.height) == (there[camera.name].width, there[camera.name].height)
     ]
     if not names:
-        raise UsageError(f"{rig.path}: no camera of this rig is in the stream, with pictures of its size")
+        raise UsageError(
+            f"{rig.path}: no camera of this rig is in the stream, with pictures of its size; `decogs-pack --rig` "
+            "gives one its cameras"
+        )
     return names
 
 

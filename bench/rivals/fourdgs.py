@@ -6,7 +6,6 @@ the whole clip, and whoever has a value that falls into another of their bins is
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from decogs.formats.splat_files.quantised import logits, opacities, unit_rotations
+from decogs.formats.splat_files import Room
+from decogs.formats.splat_files.quantised import opacities, unit_rotations
+from decogs.formats.splat_sequences.fourdgs import FourDGSFile, has_fourdgs
 from decogs.formats.splats import SH_C0, Splats
 
 from .sequences import NO_DIRECTIONS, Frames, Rival, SceneFrame, Sizes
@@ -40,7 +41,7 @@ class FourDGS:
     zstd: int | None = 19
 
     def missing(self) -> str | None:
-        return None if importlib.util.find_spec("fourdgs") else "not installed"
+        return None if has_fourdgs() else "not installed"
 
     def write(self, frames: Frames, folder: Path) -> Sizes:
         """The first frame's bytes are those before the second frame's: a file can be played from its front on."""
@@ -62,11 +63,7 @@ class FourDGS:
         return Sizes(chunks[1].chunk_offset if len(chunks) > 1 else len(data), len(data))
 
     def read(self, folder: Path) -> Iterator[Splats]:
-        from fourdgs import keyframe_delta_file as files
-
-        decoded = files.decode_streamed((folder / _FILE).read_bytes())
-        for chunk in decoded.chunks:
-            yield _splats(files.reconstruct_at(chunk.state, decoded.grids, chunk.t0))
+        return (frame.splats for frame in FourDGSFile(folder / _FILE, Room(), _FRAME_RATE).frames())
 
 
 def _sample(seconds: float, frame: SceneFrame) -> Any:
@@ -91,17 +88,6 @@ def _sample(seconds: float, frame: SceneFrame) -> Any:
             win_hi=np.full(count, _NEVER_FADES),
         ),
     )
-
-
-def _splats(scene: dict[str, Any]) -> Splats:
-    arrays = (
-        scene["centers"],
-        np.log(scene["scales"]),
-        np.roll(scene["rotations"], 1, axis=1),
-        logits(scene["opacity"]),
-        ((scene["rgb"] - 0.5) / SH_C0)[:, None],
-    )
-    return Splats(*(np.ascontiguousarray(array, np.float32) for array in arrays))
 
 
 _ONE_GRID = (

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sysconfig
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.scene.state import Rows
-from decogs.formats.errors import UsageError
-from decogs.formats.splat_files.splat import Splat, records
+from decogs.formats.splat_files import Room
+from decogs.formats.splat_files.splat import records
+from decogs.formats.splat_sequences.splat4d import Splat4dFile, run_splat4d, splat4d_command
 from decogs.formats.splats import Splats
 
 from .sequences import NO_DIRECTIONS, Frames, Rival, Sizes
 
-_STREAM, _FIRST, _DECODED = "scene.splat4d", "first.splat4d", "decoded.splat"
+_STREAM, _FIRST = "scene.splat4d", "first.splat4d"
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class Splat4d:
     scale_percent: float
 
     def missing(self) -> str | None:
-        return None if _command() else "not installed"
+        return None if splat4d_command() else "not installed"
 
     def write(self, frames: Frames, folder: Path) -> Sizes:
         """The first frame's bytes are those of a file of that frame alone: the whole one does not separate them.
@@ -48,22 +47,17 @@ class Splat4d:
         series, alone = folder / "series", folder / "alone"
         series.mkdir()
         alone.mkdir()
-        count = 0
-        for count, table in enumerate(of_one_length(frames), 1):
-            (series / f"frame_{count - 1:06d}.splat").write_bytes(table.tobytes())
+        for number, table in enumerate(of_one_length(frames)):
+            (series / f"frame_{number:06d}.splat").write_bytes(table.tobytes())
         shutil.copy(series / "frame_000000.splat", alone)
         first, total = self._encode(alone, folder / _FIRST), self._encode(series, folder / _STREAM)
-        facts, _ = json.JSONDecoder().raw_decode(_run("info", str(folder / _STREAM)))
+        facts, _ = json.JSONDecoder().raw_decode(run_splat4d("info", str(folder / _STREAM)))
         group = facts["gops"][0]
-        (folder / "count").write_text(str(count))
         shutil.rmtree(series)
         return Sizes(first, total, group["offset"] + group["len"])
 
     def read(self, folder: Path) -> Iterator[Splats]:
-        decoded = folder / _DECODED
-        for index in range(int((folder / "count").read_text())):
-            _run("decode", str(folder / _STREAM), "--frame", str(index), "-o", str(decoded))
-            yield Splat().decode(decoded.read_bytes())
+        return (frame.splats for frame in Splat4dFile(folder / _STREAM, Room()).frames())
 
     def _encode(self, frames: Path, output: Path) -> int:
         bounds = [
@@ -73,7 +67,7 @@ class Splat4d:
             f"--scale-pct={self.scale_percent:g}",
             "--zstd-level=19",
         ]
-        _run("encode", "-i", str(frames), "-o", str(output), *bounds)
+        run_splat4d("encode", "-i", str(frames), "-o", str(output), *bounds)
         return output.stat().st_size
 
 
@@ -98,20 +92,6 @@ def _first_seen(frames: Frames) -> tuple[Rows, NDArray[np.void]]:
         ids = np.concatenate([ids, frame.ids[new]])
         tables.append(records(frame.splats)[new])
     return ids, np.concatenate(tables)
-
-
-def _command() -> str | None:
-    return shutil.which("splat4d") or shutil.which("splat4d", path=sysconfig.get_path("scripts"))
-
-
-def _run(*arguments: str) -> str:
-    command = _command()
-    assert command is not None
-    done = subprocess.run([command, *arguments], capture_output=True, text=True, check=False)
-    if done.returncode:
-        reason = (done.stderr.strip().splitlines() or ["no reason given"])[0]
-        raise UsageError(f"splat4d {arguments[0]}: {reason}")
-    return done.stdout
 
 
 _FIXED_COUNT = (

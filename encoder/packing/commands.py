@@ -23,7 +23,7 @@ from decogs.formats.cli.command_line import (
 
 
 def pack_main(arguments: Sequence[str] | None = None) -> int:
-    """``decogs-pack``: files of Gaussians, one a frame, to a .dgs stream."""
+    """``decogs-pack``: files of Gaussians to a .dgs stream."""
     parser = pack_parser()
     return run(parser, lambda: _pack(parser, parser.parse_args(arguments)), cleans_up=True, extra="encode")
 
@@ -31,16 +31,39 @@ def pack_main(arguments: Sequence[str] | None = None) -> int:
 def pack_parser() -> Parser:
     """The options of ``decogs-pack``."""
     from decogs.decoder.limits import DEFAULT_MAX_MEMORY
+    from decogs.formats.files.unicode_forms import composed
 
     parser = Parser(
         prog="decogs-pack",
-        description="Code a sequence of .ply or .spz files of 3D Gaussians, one file per frame, as a stream.",
+        description="Code a sequence of 3D Gaussians as a stream: .ply or .spz files, one per frame, or a .4dgs or "
+        ".splat4d.",
     )
     parser.add_argument(
-        "files", metavar="NAME_####.PLY", help="the files' names, with ####, %%04d or $F4 for the number"
+        "files",
+        metavar="NAME_####.PLY",
+        help="the files' names, with ####, %%04d or $F4 for the number; or one .4dgs or .splat4d",
     )
     parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
-    parser.add_argument("--fps", type=frame_rate, metavar="F", help="frames per second (default: not stated)")
+    parser.add_argument(
+        "--fps",
+        type=frame_rate,
+        metavar="F",
+        help="frames per second, at which a .4dgs is sampled (default: the file's own; of .ply and .spz: not stated)",
+    )
+    parser.add_argument(
+        "--rig",
+        metavar="RIG_DIR",
+        help="give the stream this rig's cameras, so that decogs-report can compare it with their pictures (default: "
+        "one camera, overview)",
+    )
+    parser.add_argument(
+        "--holdout",
+        action="append",
+        default=[],
+        type=composed,
+        metavar="CAM",
+        help="with --rig, a camera that the files' training did not see (repeatable)",
+    )
     exactness = parser.add_mutually_exclusive_group()
     exactness.add_argument(
         "--quality",
@@ -65,14 +88,19 @@ def pack_parser() -> Parser:
 
 
 def _pack(parser: Parser, options: argparse.Namespace) -> int:
+    from decogs.formats.rigs import open_rig
+
     from .packing import pack
 
+    rig = None if options.rig is None else open_rig(options.rig)
     output = path_or_pipe(options.output, "the stream")
     with progress("packing", quiet=options.quiet) as on_frame:
         report = pack(
             options.files,
             output,
             fps=options.fps,
+            rig=rig,
+            holdout=options.holdout,
             quality=options.quality,
             lossless=options.lossless,
             segment=options.segment,
@@ -82,7 +110,7 @@ def _pack(parser: Parser, options: argparse.Namespace) -> int:
         )
     frames, size = counted(len(report.frame_bytes), "frame"), size_text(report.total_bytes)
     print_text(
-        f"{printable(options.output)}: {frames}, {size}; the files have {size_text(report.read_bytes)}",
+        f"{printable(options.output)}: {frames}, {size}; what was packed has {size_text(report.read_bytes)}",
         to_stderr=options.output == "-",
     )
     return 0

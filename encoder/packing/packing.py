@@ -1,13 +1,14 @@
-"""Files of Gaussians, one a frame, as a stream: what ``decogs-pack`` does.
+"""Files of Gaussians as a stream: what ``decogs-pack`` does.
 
 There are no pictures: nothing is trained, and the lattice alone sets rate and quality. The loop is closed as in an
 encode: every frame is compared with what a decoder has of the frame before. A stream's header needs a camera, and
-files have none: one is made up, named "overview", that sees the first frame's Gaussians.
+files have none: those of a rig, or one that is made up, named "overview", that sees the first frame's Gaussians.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -22,15 +23,15 @@ from decogs.codec.scene.lattice import Lattice, Vector, default_lattice, quantis
 from decogs.codec.scene.morton import morton_order
 from decogs.codec.scene.state import DEFAULT_MAX_GAUSSIANS
 from decogs.decoder.limits import DEFAULT_MAX_MEMORY
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, is_distorted
 from decogs.formats.errors import StreamError, TrainingError, UsageError
 from decogs.formats.files.outputs import STREAM, Output, check_outputs
-from decogs.formats.frames.names import numbered_files
+from decogs.formats.rigs import Rig
 from decogs.formats.splat_files import Room
-from decogs.formats.splat_files.reading import SplatFile, read_splats
 from decogs.formats.splats import FloatArray, Splats, take_splats
 from decogs.formats.stream.container import MAX_FRAME, Packet
 from decogs.formats.system.callbacks import OnProgress, OnWarning
+from decogs.rig.pictures.ingest import check_held_out
 
 from ..coding.packets import frame_packet, key_packet
 from ..coding.scene import Scene
@@ -38,6 +39,7 @@ from ..input.row_matching import Rows, mutual_nearest
 from ..output.stream_output import StreamOutput, open_output
 from ..settings.frame import SignificanceSettings
 from ..training.method import TrainedFrame
+from .inputs import InputFrame, PackInput, pack_input
 
 _NEUTRAL_QUALITY, _QUALITIES_PER_DOUBLING, _NEUTRAL_SCALE = 50.0, 25.0, 0.5
 _HYSTERESIS_STEPS = 0.75
@@ -66,6 +68,8 @@ def pack(
     output: str | os.PathLike[str] | BinaryIO,
     *,
     fps: float | None = None,
+    rig: Rig | None = None,
+    holdout: Sequence[str] = (),
     quality: float = _NEUTRAL_QUALITY,
     lossless: bool = False,
     segment: int = 0,
@@ -73,78 +77,86 @@ def pack(
     on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> PackReport:
-    """Codes .ply or .spz files, one a frame, as a .dgs stream.
+    """Codes .ply or .spz files, one a frame, or a .4dgs or .splat4d as a .dgs stream.
 
-    ``files``: their name, with a place for the frame's number (`decogs.formats.frames.names`). Rows of files with the
-    same number of Gaussians are the same Gaussian, unless they jump about; else they are matched by position.
+    ``files``: their name, with a place for the frame's number (`decogs.formats.frames.names`), or that of a .4dgs or
+    .splat4d. Gaussians of one id are the same Gaussian. Without ids, rows of files with the same number of Gaussians
+    are, unless they jump about; else they are matched by position. ``fps``: of the stream; a .4dgs is sampled at it,
+    and None is a file's own. ``rig``: whose cameras the stream gets, in the same world; ``holdout``: those of them
+    that the files' training did not see.
     ``quality``: 0 to 100, of the lattice: 25 less double its steps. ``lossless``: every change is coded, exact to the
     lattice of quality 100. ``segment``: frames from one keyframe to the next, 0 for a single one. One frame is in
     memory at a time, in ``max_memory`` bytes beyond the program itself; ``on_frame(done, all)``. Raises UsageError for
     files that cannot be read or do not fit each other; nothing is then left under the output's name.
     """
-    named = numbered_files(Path(files))
-    scale = _checked_scale(quality, fps, segment, len(named), lossless=lossless)
-    target = Path(output) if isinstance(output, (str, os.PathLike)) else output
-    inputs = [path for _, path in named]
-    check_outputs([Output("output", target, grows=True, format=STREAM)], [(path, "is read") for path in inputs])
-    warn = on_warning or (lambda text: None)
+    scale = _checked_scale(quality, fps, segment, lossless=lossless)
+    if holdout and rig is None:
+        raise UsageError("`holdout`: goes with `rig`, whose cameras it names")
+    if rig is not None:
+        check_held_out(rig, holdout)
     room, sizes = Room(DEFAULT_MAX_GAUSSIANS, max_memory, _FLOAT_COPIES), list[int]()
+    given = pack_input(Path(files), fps, room, on_warning or (lambda text: None))
+    if given.count > MAX_FRAME:
+        raise UsageError(f"{files}: a stream holds {MAX_FRAME} frames, and there are {given.count}; give fewer")
+    target = Path(output) if isinstance(output, (str, os.PathLike)) else output
+    check_outputs([Output("output", target, grows=True, format=STREAM)], [(path, "is read") for path in given.paths])
     with open_output(target, resumable=False, expendable=lambda left, _: _PACKED_SETTING in left.settings) as stream:
         try:
-            packing, file = None, None
-            for index, path in enumerate(inputs):
-                file = _read(path, room, warn, first=index == 0)
+            packing = None
+            for frame in given.frames():
                 if packing is None:
-                    header = _header(path, file, scale, fps=fps, first=named[0][0])
-                    packing = _Packing(header, stream, segment, exact=lossless)
-                sizes.append(packing.add(path, file.splats))
+                    packing = _Packing(_header(given, frame, scale, rig, holdout), stream, segment, exact=lossless)
+                sizes.append(packing.add(frame))
                 if on_frame is not None:
-                    on_frame(index + 1, len(named))
+                    on_frame(len(sizes), given.count)
         except BaseException:
             stream.close(0)
             raise
         stream.close(len(sizes))
         total = stream.publish()
     by_position = 0 if packing is None else packing.by_position
-    return PackReport(tuple(sizes), total, sum(path.stat().st_size for path in inputs), by_position)
+    return PackReport(tuple(sizes), total, sum(path.stat().st_size for path in given.paths), by_position)
 
 
 class _Packing:
-    """The stream so far; ``_file_rows``: the row in the last file of each Gaussian of the state."""
+    """The stream so far; ``_rows``: the row in the last frame of each Gaussian of the state, and ``_ids`` theirs."""
 
     def __init__(self, header: StreamHeader, output: StreamOutput, segment: int, *, exact: bool) -> None:
         self._header, self._output, self._segment, self._exact = header, output, segment, exact
         self._scene: Scene | None = None
-        self._file_rows: Rows = np.zeros(0, np.int64)
+        self._rows: Rows = np.zeros(0, np.int64)
+        self._ids: Rows | None = None
         self._frames = 0
         self.by_position = 0
 
-    def add(self, path: Path, splats: Splats) -> int:
+    def add(self, frame: InputFrame) -> int:
         """Codes the next frame; bytes of its packet."""
         try:
-            packet = self._first(splats) if self._scene is None else self._next(self._scene, path, splats)
+            packet = self._first(frame.splats) if self._scene is None else self._next(self._scene, frame)
         except TrainingError as error:
-            raise UsageError(f"{path}: {error}") from None
+            raise UsageError(f"{frame.name}: {error}") from None
         if self._scene is None:
             self._scene = Scene.open(self._header, reconstruct(None, packet, self._header))
         else:
             self._scene = self._scene.after(self._scene.read(packet))
+        self._ids = None if frame.ids is None else frame.ids[self._rows]
         self._output.write(packet.kind, packet.frame, packet.payload)
         self._frames += 1
         return packet.size
 
     def _first(self, splats: Splats) -> Packet:
-        state, self._file_rows = keyframe_state(quantise(splats, self._header.lattice))
+        state, self._rows = keyframe_state(quantise(splats, self._header.lattice))
         self._output.begin(self._header.to_bytes())
         return key_packet(self._header, state, {}).packet
 
-    def _next(self, scene: Scene, path: Path, splats: Splats) -> Packet:
-        header = self._header
+    def _next(self, scene: Scene, frame: InputFrame) -> Packet:
+        header, splats = self._header, frame.splats
         if splats.sh_degree != header.sh_degree:
             raise UsageError(
-                f"{path}: has SH degree {splats.sh_degree}, the first file has {header.sh_degree}; export all alike"
+                f"{frame.name}: has SH degree {splats.sh_degree}, the first file has {header.sh_degree}; "
+                "export all alike"
             )
-        kept, rows = self._match(scene.splats.means, splats)
+        kept, rows = self._match(scene.splats.means, frame)
         removed = np.setdiff1d(np.arange(len(scene.splats)), kept)
         added = np.setdiff1d(np.arange(len(splats)), rows)
         values = take_splats(splats, rows)
@@ -153,18 +165,23 @@ class _Packing:
         trained = TrainedFrame(kept, values, removed, take_splats(splats, added))
         # The stream has new Gaussians in Morton order, behind the others.
         added = added[morton_order(quantise(trained.added, header.lattice).means)]
-        self._file_rows = np.concatenate([rows, added])
+        self._rows = np.concatenate([rows, added])
         return frame_packet(scene, self._frames, trained, SignificanceSettings(), {}, segment=self._segment).packet
 
-    def _match(self, before: FloatArray, splats: Splats) -> tuple[Rows, Rows]:
-        """Rows of the state, whose positions were ``before``, that go on, ascending, and their rows in the file."""
-        if len(splats) == len(before):
-            way = np.linalg.norm(splats.means[self._file_rows].astype(np.float64) - before, axis=1)
+    def _match(self, before: FloatArray, frame: InputFrame) -> tuple[Rows, Rows]:
+        """Rows of the state, whose positions were ``before``, that go on, ascending, and their rows in the frame."""
+        means = frame.splats.means
+        if self._ids is not None and frame.ids is not None:
+            _, kept, rows = np.intersect1d(self._ids, frame.ids, assume_unique=True, return_indices=True)
+            order = np.argsort(kept)
+            return kept[order], rows[order]
+        if len(means) == len(before):
+            way = np.linalg.norm(means[self._rows].astype(np.float64) - before, axis=1)
             if np.median(way) <= _MAX_JUMP_FRACTION * robust_extent(before)[0]:
-                return np.arange(len(before)), self._file_rows
+                return np.arange(len(before)), self._rows
         self.by_position += 1
         reach = max(robust_extent(before)[0], 1e-12) / np.sqrt(len(before))
-        return mutual_nearest(before, splats.means, float(reach))
+        return mutual_nearest(before, means, float(reach))
 
 
 def _with_hysteresis(before: Splats, now: Splats, lattice: Lattice) -> Splats:
@@ -185,7 +202,7 @@ def _with_hysteresis(before: Splats, now: Splats, lattice: Lattice) -> Splats:
     )
 
 
-def _checked_scale(quality: float, fps: float | None, segment: int, frames: int, *, lossless: bool) -> float:
+def _checked_scale(quality: float, fps: float | None, segment: int, *, lossless: bool) -> float:
     """How coarse the lattice is; raises UsageError for what cannot be."""
     if not 0 <= quality <= 100:
         raise UsageError(f"`quality` {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
@@ -193,44 +210,38 @@ def _checked_scale(quality: float, fps: float | None, segment: int, frames: int,
         raise UsageError(f"`fps` {fps:g}: give a positive number of frames per second")
     if not 0 <= segment <= MAX_FRAME:
         raise UsageError(f"`segment` {segment}: give a number of frames, or 0 for a single keyframe")
-    if frames > MAX_FRAME:
-        raise UsageError(f"a stream holds {MAX_FRAME} frames, and there are {frames} files; give fewer")
     return float(
         _NEUTRAL_SCALE * 2 ** ((_NEUTRAL_QUALITY - (100.0 if lossless else quality)) / _QUALITIES_PER_DOUBLING)
     )
 
 
-def _read(path: Path, room: Room, warn: OnWarning, *, first: bool) -> SplatFile:
-    file = read_splats(path, room)
-    for text in file.left_out:
-        warn(f"{path}: {text}")
-    if first and not file.compensated:
-        warn(
-            f"{path}: does not say that it was trained with antialiasing (Mip-Splatting), which our renderer has: "
-            "Gaussians smaller than a pixel are shown fainter than by its own"
-        )
-    return file
-
-
-def _header(path: Path, file: SplatFile, scale: float, *, fps: float | None, first: int) -> StreamHeader:
-    extent, centre = robust_extent(file.splats.means)
+def _header(given: PackInput, frame: InputFrame, scale: float, rig: Rig | None, holdout: Sequence[str]) -> StreamHeader:
+    if not len(frame.splats):
+        raise UsageError(f"{frame.name}: has no Gaussian, and a stream begins with some")
+    extent, centre = robust_extent(frame.splats.means)
     if not extent > 0:
-        raise UsageError(f"{path}: all its Gaussians are in one place; export it again")
+        raise UsageError(f"{frame.name}: all its Gaussians are in one place; export it again")
+    cameras = (_overview(extent, centre, given.up),) if rig is None else rig.cameras
     effects = ["motion", "appearance_change", "emergence", "disappearance"]
+    effects += ["view_dependence"] if frame.splats.sh_degree else []
+    effects += ["lens_distortion"] if any(is_distorted(camera) for camera in cameras) else []
     header = StreamHeader(
-        cameras=(_overview(extent, centre, file.up),),
+        cameras=cameras,
         lattice=default_lattice(extent, centre=centre, scale=scale),
-        sh_degree=file.splats.sh_degree,
-        fps=fps,
-        first_frame=min(first, MAX_FRAME),
-        effects=(*effects, *(("view_dependence",) if file.splats.sh_degree else ())),
-        units="world units of the files",
-        settings={"lattice_scale": scale, _PACKED_SETTING: path.name},
+        sh_degree=frame.splats.sh_degree,
+        fps=given.fps if given.fps or rig is None else rig.fps,
+        first_frame=min(given.first, MAX_FRAME),
+        effects=tuple(effects),
+        held_out=tuple(holdout),
+        units=(rig and rig.length_unit) or "world units of the files",
+        settings={"lattice_scale": scale, _PACKED_SETTING: given.paths[0].name},
     )
     try:
         header.to_bytes()
     except StreamError:
-        raise UsageError(f"{path}: a stream cannot hold a scene of {extent:.3g} units; scale it to metres") from None
+        raise UsageError(
+            f"{frame.name}: a stream cannot hold a scene of {extent:.3g} units; scale it to metres"
+        ) from None
     return header
 
 

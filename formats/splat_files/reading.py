@@ -65,16 +65,26 @@ def read_splats(path: str | os.PathLike[str], room: Room) -> SplatFile:
     try:
         splats, compensated = _PARSERS[suffix](data, room)
         del data
-        np.clip(splats.opacity_logits, -_OPAQUE, _OPAQUE, out=splats.opacity_logits)
-        np.maximum(splats.log_scales, _FLAT, out=splats.log_scales)
-        finite, zero = _finite(splats), _zero(splats)
-        if not (finite & ~zero).any():
+        found, _, left_out = finite_splats(splats)
+        if not len(found):
             raise UsageError("holds no Gaussian whose values are finite; export it again")
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
+    return SplatFile(found, compensated, _UPS[suffix], left_out)
+
+
+def finite_splats(splats: Splats) -> tuple[Splats, NDArray[np.int64], tuple[str, ...]]:
+    """What can be shown of a stranger's Gaussians, their rows, and how many were left out and why, a line each.
+
+    Ends opacities and sizes as `read_splats` does, in place.
+    """
+    np.clip(splats.opacity_logits, -_OPAQUE, _OPAQUE, out=splats.opacity_logits)
+    np.maximum(splats.log_scales, _FLAT, out=splats.log_scales)
+    finite, zero = _finite(splats), _zero(splats)
+    rows = np.flatnonzero(finite & ~zero)
     counts = {"have values that are not finite": int((~finite).sum()), "are rows of zeros": int(zero.sum())}
     left_out = tuple(f"{count} of its Gaussians {why}, and are left out" for why, count in counts.items() if count)
-    return SplatFile(take_splats(splats, finite & ~zero) if left_out else splats, compensated, _UPS[suffix], left_out)
+    return take_splats(splats, rows) if left_out else splats, rows, left_out
 
 
 def _bytes_of(path: Path, room: Room) -> bytes:

@@ -276,7 +276,7 @@ def test_a_rival_that_fails_is_said_and_the_others_go_on(
 
 
 def test_what_is_not_installed_is_said(three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splat4d, "_command", lambda: None)
+    monkeypatch.setattr(splat4d, "splat4d_command", lambda: None)
     monkeypatch.setattr(FourDGS, "missing", lambda self: "not installed")
     text = make_report(replace(RATES, figures={}), [three_frames], tmp_path, OPTIONS, only=["none"]).read_text()
     assert text.count("| not installed |") == 4 + 4

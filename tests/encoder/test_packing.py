@@ -6,23 +6,31 @@ import resource
 import signal
 import subprocess
 import sys
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from decogs.bench.rivals.fourdgs import FourDGS
+from decogs.bench.rivals.sequences import SceneFrame
 from decogs.decoder import export
 from decogs.decoder.reading.frame import DecodedFrame
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
 from decogs.encoder import pack
 from decogs.encoder.input.row_matching import mutual_nearest
+from decogs.encoder.packing import inputs
 from decogs.encoder.packing.commands import pack_main
 from decogs.formats.errors import UsageError
+from decogs.formats.rigs import open_rig
 from decogs.formats.splat_files.ply import Ply
+from decogs.formats.splat_sequences import SequenceFrame, fourdgs, splat4d
 from decogs.formats.splats import Splats, join_splats, take_splats
+
+RIG = Path(__file__).resolve().parents[1] / "demo" / "workbench"
 
 
 def a_scene(count: int = 400) -> Splats:
@@ -142,6 +150,115 @@ def test_an_export_is_packed_and_its_overview_stands_upright(moving: Any, tmp_pa
     rows = np.einsum("k,nk->n", header.cameras[0].world_to_camera[1, :3], found[0].splats.means)
     theirs = frames[0].splats.means[:, 1]
     assert abs(np.sort(rows - rows.mean()) - np.sort(theirs - theirs.mean())).max() < 0.02
+
+
+@dataclass(frozen=True)
+class ASequence:
+    """Stands for a file of a peer's; ``rows``: of the scene, in each frame."""
+
+    rows: tuple[tuple[int, ...], ...]
+    fps: float = 12.5
+    up: str = "-Y"
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.rows)
+
+    def frames(self) -> Iterator[SequenceFrame]:
+        for number, rows in enumerate(self.rows):
+            ids = np.array(rows, np.int64)
+            yield SequenceFrame(take_splats(moved(a_scene(), 500 * number), ids), 7 * ids, ("2 left out",))
+
+
+def a_peers_file(folder: Path, monkeypatch: pytest.MonkeyPatch, *rows: Iterable[int]) -> Path:
+    path = folder / "a.4dgs"
+    path.write_bytes(b"a peer's")
+    monkeypatch.setattr(inputs, "open_sequence", lambda *asked: ASequence(tuple(map(tuple, rows))))
+    return path
+
+
+def test_gaussians_of_one_id_are_the_same_wherever_they_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty jump by the whole scene; some come and go, all go, and their order is not kept."""
+    order = [range(0, 390), range(399, 9, -1), [], range(5, 400)]
+    warnings: list[str] = []
+    path = a_peers_file(tmp_path, monkeypatch, *order)
+    report = pack(path, tmp_path / "o.dgs", on_warning=warnings.append)
+    header, found = decoded(tmp_path / "o.dgs")
+    assert (header.fps, header.first_frame, [camera.name for camera in header.cameras]) == (12.5, 0, ["overview"])
+    assert (report.read_bytes, report.matched_by_position) == (len(b"a peer's"), 0)
+    assert [len(frame.splats) for frame in found] == [390, 390, 0, 395]
+    # Ten go and ten come; all go; those that come back are new.
+    assert [frame.state.next_id for frame in found] == [390, 400, 400, 795]
+    for number, (frame, rows) in enumerate(zip(found, order, strict=True)):
+        if rows:
+            theirs = take_splats(moved(a_scene(), 500 * number), np.array(rows))
+            assert sorted(nearest_rows(frame.splats, theirs)) == list(range(len(theirs)))
+    assert [text for text in warnings if "antialiasing" in text] == [warnings[1]]
+    assert warnings[0] == f"{path}, frame 0: 2 left out"
+
+
+def test_a_stream_cannot_begin_with_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = a_peers_file(tmp_path, monkeypatch, [], [1, 2])
+    with pytest.raises(UsageError, match=r"a\.4dgs, frame 0: has no Gaussian, and a stream begins with some"):
+        pack(path, tmp_path / "o.dgs")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_rig_s_cameras_see_what_was_packed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files, output = write(tmp_path, [a_scene()] * 2), tmp_path / "o.dgs"
+    rig = open_rig(RIG)
+    assert pack_main([files, "-o", str(output), "--rig", str(RIG), "--holdout", "cam00", "-q"]) == 0
+    header, _ = decoded(output)
+    assert [(each.name, each.width) for each in header.cameras] == [(each.name, each.width) for each in rig.cameras]
+    assert (header.held_out, header.fps, header.units) == (("cam00",), rig.fps, rig.length_unit or header.units)
+    capsys.readouterr()
+    for options, says in (
+        (["--rig", str(RIG), "--holdout", "cam99"], "error: --holdout cam99: "),
+        (["--holdout", "cam00"], "error: --holdout: goes with --rig, whose cameras it names"),
+    ):
+        assert pack_main([files, "-o", str(tmp_path / "p.dgs"), *options]) == 2
+        assert says in capsys.readouterr().err
+    assert not (tmp_path / "p.dgs").exists()
+
+
+@pytest.mark.parametrize(("suffix", "package"), [(".4dgs", "fourdgs"), (".splat4d", "splats4d")])
+def test_a_peer_s_file_without_its_package_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], suffix: str, package: str
+) -> None:
+    monkeypatch.setattr(fourdgs.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(splat4d, "splat4d_command", lambda: None)
+    path = tmp_path / f"a{suffix.upper()}"
+    path.write_bytes(b"anything")
+    assert pack_main([str(path), "-o", str(tmp_path / "o.dgs")]) == 2
+    assert capsys.readouterr().err.endswith(f"which is not installed: pip install {package}\n")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(not fourdgs.has_fourdgs(), reason="needs the PyPI package fourdgs")
+def test_a_damaged_4dgs_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = a_scene()
+    frames = [SceneFrame(np.arange(400), moved(scene, number)) for number in range(4)]
+    FourDGS("fine").write(lambda: iter(frames), tmp_path)
+    path = tmp_path / "scene.4dgs"
+    assert pack_main([str(path), "-o", str(tmp_path / "whole.dgs"), "-q"]) == 0
+    header, found = decoded(tmp_path / "whole.dgs")
+    assert (len(found), header.fps) == (4, 30)
+    data = bytearray(path.read_bytes())
+    second = chunks_of(bytes(data))[1]
+    data[second + 40 : second + 60] = bytes(20)
+    path.write_bytes(data)
+    capsys.readouterr()
+    assert pack_main([str(path), "-o", str(tmp_path / "o.dgs"), "-q"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1].startswith(f"decogs-pack: error: {path}: ")
+    assert not list(tmp_path.glob("o.dgs*"))
+
+
+def chunks_of(data: bytes) -> list[int]:
+    """Where the chunks of a .4dgs begin."""
+    from fourdgs import keyframe_delta_file
+
+    return [entry.chunk_offset for entry in keyframe_delta_file.open_indexed(data).index]
 
 
 def test_what_cannot_be_packed_is_one_line(tmp_path: Path) -> None:
