@@ -68,7 +68,7 @@ FIGURES = {
     "psnr": Figure("dB of the whole picture", "{:.2f}".format),
     "first": Figure("first frame", "{:.2f}".format),
     "last": Figure("last frame", "{:.2f}".format),
-    "psnr_worst": Figure("worst 5 %", "{:.2f}".format),
+    "psnr_worst_5": Figure("worst 5 %", "{:.2f}".format),
     "psnr_aligned": Figure("dB of the whole picture", "{:.2f}".format),
     "psnr_dynamic": Figure("dB where things move", "{:.2f}".format),
     "psnr_static": Figure("where nothing does", "{:.2f}".format),

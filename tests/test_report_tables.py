@@ -167,7 +167,7 @@ def test_every_run_asks_for_parts_that_there_are(script: dict[str, Any]) -> None
     make = runpy.run_path(str(ROOT / "report" / "make.py"))
     made = {f"{runs.name}/{rig.name}" for runs in make["RUNS"] for rig in runs.rigs}
     cited = {source for table in script["tables"](script["pages"]()) for source in table.sources}
-    assert cited == made
+    assert cited <= made
     for runs in make["RUNS"]:
         plan = PLANS[runs.kind]
         assert set(runs.only) <= {question.key for question in plan.questions}

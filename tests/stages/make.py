@@ -210,11 +210,11 @@ def _write(path: Path, picture: NDArray[np.generic]) -> None:
 
 
 def calibration(views: Sequence[Camera]) -> dict[str, object]:
-    """The rig.json of pinhole cameras in folders of their names."""
-    names = ("name", "width", "height", "fx", "fy", "cx", "cy")
+    """The rig.json of cameras in folders of their names."""
+    names = ("name", "width", "height", "fx", "fy", "cx", "cy", "distortion_model", "distortion")
     entries = [
         {name: getattr(view, name) for name in names}
-        | {"file": view.name, "distortion_model": "none", "world_to_camera": view.world_to_camera.tolist()}
+        | {"file": view.name, "world_to_camera": view.world_to_camera.tolist()}
         for view in views
     ]
     return {
