@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, is_wide
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.stream.container import MAX_PAYLOAD
 
@@ -31,6 +31,9 @@ _FRAME_DIVISOR, _FRAME_BYTES = 16, 256
 _RENDERED_BYTES, _WRITTEN_BYTES, _LENS_BYTES = 36, 60, 64
 """What a pixel takes: of the pinhole picture while it is rendered (colours and depth, planar and interleaved), of the
 view's own while it is converted and written, and of a view with a lens besides (its tables, and what makes them)."""
+
+_FACES_BYTES = 56
+"""What a pixel of a very wide pinhole picture takes besides: its faces' pictures and tables, and what makes them."""
 
 _LAYER_BYTES = 50
 """What a pixel takes besides while layers of it are rendered and kept: 130 in all were measured for an EXR."""
@@ -95,7 +98,7 @@ def limits_explained(max_memory: int, limits: Collection[int]) -> Iterator[None]
 
 def _picture_bytes(camera: Camera, lens: bool, rendered: Camera) -> int:
     own = camera.width * camera.height * (_WRITTEN_BYTES + _LENS_BYTES * lens)
-    return own + rendered.width * rendered.height * _RENDERED_BYTES
+    return own + rendered.width * rendered.height * (_RENDERED_BYTES + _FACES_BYTES * is_wide(rendered))
 
 
 def _state_bytes(coefficients: int) -> int:

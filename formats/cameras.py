@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 MAX_SIDE = 1 << 16
 """Pixels along a side of the largest camera of a rig or a viewer."""
 
+WIDEST_CORNER = 1.75
+"""Tangent of the angle between a pinhole's axis and its farthest corner up to which its picture is drawn whole."""
+
 DistortionModel = Literal["none", "opencv", "fisheye"]
 
 
@@ -113,6 +116,13 @@ def scale_camera(camera: Camera, scale: float) -> Camera:
 def is_distorted(camera: Camera) -> bool:
     """Whether the camera's lens bends anything. A fisheye does without coefficients, too: it is equidistant then."""
     return camera.distortion_model == "fisheye" or any(camera.distortion)
+
+
+def is_wide(camera: Camera) -> bool:
+    """Whether a corner of the pinhole ``camera`` is so far off its axis, 60 degrees, that it is drawn in parts."""
+    across = max(camera.cx, camera.width - camera.cx) / camera.fx
+    down = max(camera.cy, camera.height - camera.cy) / camera.fy
+    return bool(np.hypot(across, down) > WIDEST_CORNER)
 
 
 def as_pinhole(camera: Camera) -> Camera:

@@ -24,10 +24,8 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, ray_slopes, scale_camera
+from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, is_wide, ray_slopes, scale_camera
 from decogs.formats.errors import UsageError
-
-from ..rasterise.faces import is_wide
 
 F64 = NDArray[np.float64]
 Maps = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]

@@ -2,7 +2,7 @@
 
 EWA splatting draws a Gaussian as the affine image of its middle. Far from the axis that is wrong: at 75 degrees a
 Gaussian of a tenth of its distance reaches over half the picture, as a veil before everything. Pictures with corners
-more than `WIDEST_CORNER` off the axis are therefore drawn face by face, at the same focal lengths, and put together.
+more than 60 degrees off the axis (`is_wide`) are therefore drawn face by face, at the same focal lengths, and joined.
 Figures and what was rejected: encoder/DESIGN.md, "Very wide lenses".
 """
 
@@ -16,11 +16,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, ray_slopes
+from decogs.formats.cameras import Camera, is_wide, ray_slopes
 from decogs.formats.splats import FloatArray
 
-WIDEST_CORNER = 1.75
-"""Tangent of the angle between the axis and a picture's farthest corner up to which it is drawn whole: 60 degrees."""
 _MARGIN = 4
 """Pixels of a face around those that are shown: the footprint of interpolation, and of SSIM's window."""
 _CUBIC = 2
@@ -108,13 +106,6 @@ class Face:
         return np.asarray(cv2.dilate(self.marks(wide).astype(np.uint8), across) > 0)
 
 
-def is_wide(camera: Camera) -> bool:
-    """Whether a corner of the pinhole ``camera`` is farther off its axis than a picture is drawn whole."""
-    across = max(camera.cx, camera.width - camera.cx) / camera.fx
-    down = max(camera.cy, camera.height - camera.cy) / camera.fy
-    return bool(np.hypot(across, down) > WIDEST_CORNER)
-
-
 def faces_of(camera: Camera) -> Sequence[Face]:
     """The faces of a wide pinhole ``camera``; none of another one."""
     if not is_wide(camera):
@@ -130,35 +121,46 @@ def _faces(
 ) -> tuple[tuple[Face, NDArray[np.float64]], ...]:
     """The faces of a camera at the world's origin, with their axes: poses do not matter to the maps."""
     camera = Camera("", width, height, fx, fy, cx, cy, np.eye(4))
-    x, y = ray_slopes(camera, *np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5))
-    rays = np.stack([x, y, np.ones_like(x)], axis=-1)
-    nearest = np.argmax(np.stack([(rays * axes[2]).sum(axis=-1) for axes in _AXES]), axis=0)
-    found = []
-    for number, axes in enumerate(_AXES):
-        own = nearest == number
-        if own.any():
-            found.append((_face(camera, rays, own, axes), axes))
+    x = ray_slopes(camera, np.arange(width) + 0.5, np.zeros(width))[0][None, :]
+    y = ray_slopes(camera, np.zeros(height), np.arange(height) + 0.5)[1][:, None]
+    level = np.abs(x) >= np.abs(y)
+    shown = (
+        (np.abs(x) <= 1) & (np.abs(y) <= 1),
+        (x > 1) & level,
+        (x < -1) & level,
+        (y > 1) & ~level,
+        (y < -1) & ~level,
+    )
+    found = [(_face(camera, x, y, own, axes), axes) for own, axes in zip(shown, _AXES, strict=True) if own.any()]
     return tuple(found)
 
 
-def _face(camera: Camera, rays: NDArray[np.float64], own: NDArray[np.bool_], axes: NDArray[np.float64]) -> Face:
+def _face(
+    camera: Camera,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    own: NDArray[np.bool_],
+    axes: NDArray[np.float64],
+) -> Face:
+    """``x`` (1, W), ``y`` (H, 1): slopes of the wide picture's rays, of which it shows its ``own`` (H, W)."""
     rows, columns = np.flatnonzero(own.any(axis=1)), np.flatnonzero(own.any(axis=0))
     window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    own, turned = own[window], (rays[window][..., None, :] * axes).sum(axis=-1)
+    own, x, y = own[window], x[:, window[1]], y[window[0]]
+    right, down, ahead = (axis[0] * x + axis[1] * y + axis[2] for axis in axes)
     with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = (focal * turned[..., k] / turned[..., 2] for k, focal in enumerate((camera.fx, camera.fy)))
+        u, v = camera.fx * right / ahead, camera.fy * down / ahead
     left, top = (int(np.floor(places[own].min())) - _MARGIN for places in (u, v))
     right, bottom = (int(np.ceil(places[own].max())) + _MARGIN for places in (u, v))
     drawn = replace(camera, width=right - left, height=bottom - top, cx=float(-left), cy=float(-top))
-    x, y = ray_slopes(drawn, *np.meshgrid(np.arange(drawn.width) + 0.5, np.arange(drawn.height) + 0.5))
-    outwards = np.stack([x, y, np.ones_like(x)], axis=-1)
+    across, along = ray_slopes(drawn, *np.meshgrid(np.arange(drawn.width) + 0.5, np.arange(drawn.height) + 0.5))
+    outwards = np.stack([across, along, np.ones_like(across)], axis=-1)
     back = (outwards[..., None, :] * axes.T).sum(axis=-1)
-    ahead = back[..., 2] > 1e-3
+    before = back[..., 2] > 1e-3
     with np.errstate(divide="ignore", invalid="ignore"):
-        wide_u = np.where(ahead, camera.fx * back[..., 0] / back[..., 2] + camera.cx - 0.5, -1.0)
-        wide_v = np.where(ahead, camera.fy * back[..., 1] / back[..., 2] + camera.cy - 0.5, -1.0)
+        wide_u = np.where(before, camera.fx * back[..., 0] / back[..., 2] + camera.cx - 0.5, -1.0)
+        wide_v = np.where(before, camera.fy * back[..., 1] / back[..., 2] + camera.cy - 0.5, -1.0)
     inside = (wide_u >= -0.5) & (wide_u <= camera.width - 0.5) & (wide_v >= -0.5) & (wide_v <= camera.height - 0.5)
-    shown = ahead & inside & (np.abs(outwards[..., :2]).max(axis=-1) <= 1)
+    shown = before & inside & (np.abs(outwards[..., :2]).max(axis=-1) <= 1)
     return Face(
         camera=drawn,
         window=window,
@@ -168,7 +170,7 @@ def _face(camera: Camera, rays: NDArray[np.float64], own: NDArray[np.bool_], axe
         wide_u=np.clip(wide_u, -2.0, _REMAP_LIMIT).astype(np.float32),
         wide_v=np.clip(wide_v, -2.0, _REMAP_LIMIT).astype(np.float32),
         shown=shown,
-        depth=np.where(own, 1 / np.where(own, turned[..., 2], 1), 0).astype(np.float32),
+        depth=np.where(own, 1 / np.where(own, ahead, 1), 0).astype(np.float32),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from decogs.decoder.rasterise.faces import is_wide
+from decogs.formats.cameras import is_wide
 from decogs.formats.rigs.timeline import RowTimes
 from decogs.formats.splats import Splats
 from decogs.rig.pictures.ingest import Ingest

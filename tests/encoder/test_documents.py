@@ -221,8 +221,8 @@ def test_the_report_lists_each_of_its_pages_and_keeps_no_picture_that_none_shows
 
 
 def is_full_report(path: Path) -> bool:
-    """What `make report` makes and git does not keep."""
-    return "full" in path.parts or path.name == "full.zip"
+    """What `make report` makes and git does not keep, and the figures that pages cite of it."""
+    return bool({"full", "figures"} & {*path.parts}) or path.name == "full.zip"
 
 
 def test_the_readme_and_the_documents_are_short() -> None:

@@ -162,7 +162,10 @@ def test_what_is_lost_is_made_again(made: Path, making) -> None:
     assert (code, [name for name in STEPS if states[name] == "made"]) == (0, ["page", "poster"])
 
 
-@pytest.mark.parametrize("name", ["poster.png", "page/index.html", "page/notes.txt"])
+@pytest.mark.parametrize(
+    "name",
+    ["poster.png", *(pytest.param(f"page/{name}", marks=pytest.mark.slow) for name in ("index.html", "notes.txt"))],
+)
 def test_what_it_did_not_make_stays(made: Path, making, name: str) -> None:
     """A changed file, and one of somebody else in a folder that would be replaced."""
     theirs = made.parent / "take" / name

@@ -80,6 +80,7 @@ def test_what_is_another_is_said(encoded, tmp_path: Path, capsys: pytest.Capture
     assert "frame 0 is another" in said
 
 
+@pytest.mark.slow
 def test_an_edited_stream_is_verified_where_its_scenes_stayed(
     encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -94,6 +95,7 @@ def test_an_edited_stream_is_verified_where_its_scenes_stayed(
 
 
 @pytest.mark.parametrize("encoded", ["open"], indirect=True)
+@pytest.mark.slow
 def test_layers_of_another_scene_are_found(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     edit(encoded[0], tmp_path / "graded.dgs", [Grade(exposure=0.5), MakeLayers()])
     settings = header_of(encoded[0]).settings

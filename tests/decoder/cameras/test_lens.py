@@ -21,9 +21,8 @@ from decogs.decoder.cameras.lens import (
     undistort_pixels,
 )
 from decogs.decoder.rasterise import Rendering
-from decogs.decoder.rasterise.faces import is_wide
 from decogs.decoder.rendering.views import through_lens
-from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, project
+from decogs.formats.cameras import Camera, DistortionModel, as_pinhole, is_distorted, is_wide, project
 from decogs.formats.errors import UsageError
 
 BARREL = Camera(

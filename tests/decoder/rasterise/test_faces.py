@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from decogs.decoder.rasterise import render
-from decogs.decoder.rasterise.faces import WIDEST_CORNER, faces_of, is_wide
+from decogs.decoder.rasterise.faces import faces_of
 from decogs.decoder.rasterise.faces_view import FacesView, incremental_view
 from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.decoder.rasterise.native import MAX_PAIRS, render_planes
-from decogs.formats.cameras import Camera, project
+from decogs.formats.cameras import WIDEST_CORNER, Camera, is_wide, project
 from decogs.formats.splats import Splats, round_splats, take_splats
 from random_splats import random_splats
 

@@ -24,7 +24,12 @@ WHOLE_SCENE = {
 }
 
 
-@pytest.mark.parametrize("name", WHOLE_SCENE)
+LONG = ("inverted", "dimmed to a third")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in WHOLE_SCENE]
+)
 def test_an_encode_loses_nothing_of_it_to_the_noise_threshold(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -134,6 +134,7 @@ def test_lamps_cost_next_to_nothing(steady_and_flickering: dict[str, Path]) -> N
     assert lit.header.camera_effects("cam05") == ("lamp_flicker",)
 
 
+@pytest.mark.slow
 def test_a_recorded_view_shows_the_bands_and_a_free_one_none(steady_and_flickering: dict[str, Path]) -> None:
     path = steady_and_flickering["flickering"]
     rig = open_rig(path.with_name("flickering"))
