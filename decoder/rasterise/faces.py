@@ -36,6 +36,8 @@ _AXES = np.array(
     np.float64,
 )
 """Of each face its axes (right, down, forward) in the camera's: ahead, right, left, below, above."""
+MOST_FACES = len(_AXES)
+"""That a wide picture is drawn in."""
 
 
 class Planes(Protocol):
@@ -115,7 +117,7 @@ def faces_of(camera: Camera) -> Sequence[Face]:
     return [replace(face, camera=_placed(face.camera, axes, camera)) for face, axes in faces]
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=4)
 def _faces(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float
 ) -> tuple[tuple[Face, NDArray[np.float64]], ...]:

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from decogs.decoder.rasterise.faces import faces_of
+from decogs.decoder.rasterise.faces import MOST_FACES
+from decogs.formats.cameras import is_wide
 from decogs.formats.errors import UsageError
 from decogs.rig.pictures.ingest import Ingest
 
@@ -88,7 +89,7 @@ def encode_memory(
     # Closed segments keep the first frame's pictures, and those of the last cut.
     later = sum(views) * (_LATER_FRAME_BYTES + _PICTURE_BYTES * 2 * settings.closed)
     grown = round(MAX_GROWTH * gaussians)
-    drawn = sum(len(faces_of(view.pinhole)) or 1 for view in ingest.views)
+    drawn = sum(MOST_FACES if is_wide(view.pinhole) else 1 for view in ingest.views)
     later += grown * drawn * _GAUSSIAN_IN_VIEW_BYTES
     if settings.fading:
         later += every * _PICTURE_BYTES * settings.fading + _fade_memory(ingest, grown)
