@@ -88,8 +88,12 @@ FIGURES = {
     "gaussians": Figure("Gaussians", lambda count: f"{count:,.0f}".replace(",", " ")),
     "decode_fps": Figure("decoded frames a second", "{:.0f}".format),
     "selected": Figure("selected", "{:.1%}".format),
+    "bd_rate": Figure("whole picture", "{:+.0f} %".format),
+    "bd_rate_dynamic": Figure("where things move", "{:+.0f} %".format),
+    "bd_rate_later": Figure("whole picture, later frames", "{:+.0f} %".format),
+    "bd_rate_later_dynamic": Figure("where things move, later frames", "{:+.0f} %".format),
 }
-"""Those of a report's JSON that tables here have; bytes and CPU-s are per later frame."""
+"""Those of a report's JSON that tables here have; bytes and CPU-s are per later frame, BD-rates per cent of bytes."""
 
 AGAINST = ("psnr_dynamic", "mtv", "cpu", "megabytes")
 DIFFERENCES = ("psnr_dynamic", "megabytes", "cpu")

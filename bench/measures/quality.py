@@ -191,13 +191,13 @@ def measure_scenes(
         reading.append(time.perf_counter() - began)
         reading_cpu.append(cpu_seconds() - began_cpu)
         if not rendering:  # the first rendering loads the kernel
-            render_view(header, splats, views[0].camera, scale=scale, threads=threads)
+            render_view(header, splats, views[0].camera, scale=scale, threads=threads, corrections={})
         of_views: list[FrameQuality] = []
         for number, (view, (target, matte)) in enumerate(zip(views, targets, strict=True)):
             began, began_cpu = time.perf_counter(), cpu_seconds()
-            image = render_view(header, splats, view.camera, scale=scale, threads=threads).image
+            seen_by = render_view(header, splats, view.camera, scale=scale, threads=threads, corrections={})
             seconds, spent = time.perf_counter() - began, cpu_seconds() - began_cpu
-            seen = to_8bit(image)
+            seen = to_8bit(seen_by.image)
             shown, recorded = before[number]
             shot = Shot(seen, target, shown, view.regions, matte, distance, recorded)
             of_views.append(_quality(shot))

@@ -182,7 +182,8 @@ class RigViewpoints:
         cameras = [scale_camera(camera, self.options.scale) for camera in header.cameras]
         camera = next(camera for camera in cameras if camera.name == name)
         others = [other for other in cameras if other.name != name]
-        decoded = to_8bit(render_view(header, scene, camera, threads=self._threads).image)
+        view = render_view(header, scene, name, scale=self.options.scale, threads=self._threads, corrections={})
+        decoded = to_8bit(view.image)
         seen = in_two(surfaces.seen_by(camera, others))
         errors = square_error_map(decoded, recorded)
         before = surfaces.air(header, scene, camera)

@@ -112,6 +112,19 @@ class StreamHeader:
         own = {name: self.camera_colours[name]} if name in self.camera_colours else {}
         return (*constant_effects(own), *self.corrected.of(name))
 
+    def colours_of(self, name: str) -> Correction | None:
+        """How a camera's colours differ from the scene's in every frame; None where they do not.
+
+        Of a held-out camera nothing is known but that it is one of the rig's: it darkens its border as the middle one
+        of the others does. Source: SPEC.md, "Corrections".
+        """
+        if name not in self.held_out:
+            return self.camera_colours.get(name)
+        others = [camera.name for camera in self.cameras if camera.name not in self.held_out]
+        falloffs = sorted(self.camera_colours[name].falloff if name in self.camera_colours else 0 for name in others)
+        middle = falloffs[(len(falloffs) - 1) // 2] if falloffs else 0
+        return Correction(falloff=middle) if middle else None
+
     @property
     def coefficients(self) -> int:
         """SH coefficients per colour channel."""

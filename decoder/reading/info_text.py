@@ -93,6 +93,8 @@ def _profiles(facts: StreamInfo) -> Iterator[str]:
 def _coded_effects(name: str, header: StreamHeader) -> str:
     """Corrections of a camera that frames code, beside its calibration."""
     if name in header.held_out:
+        if header.colours_of(name):
+            return ", held out, shown with the lens falloff that the others have"
         corrects = header.corrected.effects or header.camera_colours
         return ", held out" + (", its own drift is unknown: shown drift-free" if corrects else "")
     return "".join(f", {effect.replace('_', ' ')}" for effect in header.camera_effects(name))

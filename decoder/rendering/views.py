@@ -74,7 +74,7 @@ def correction_of(header: StreamHeader, view: str | Camera, corrections: Correct
     """That of a rig camera, by name, in a frame with these ``corrections``; None where nothing is corrected."""
     if corrections is None or not isinstance(view, str):
         return None
-    colours = header.camera_colours.get(view)
+    colours = header.colours_of(view)
     if colours is None:
         return corrections.get(view)
     return with_colours(corrections.get(view, Correction()), colours)

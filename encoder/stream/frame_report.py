@@ -15,6 +15,7 @@ from ..backends.psnr import mean_picture_psnr, mean_psnr, mean_shown_psnr, psnr_
 from ..change.masks import usable_views
 from ..frame.context import Context
 from ..frame.encode_frame import Encoded
+from ..input.compensation.colour import remove_colours
 from ..output.footage import matches, warning_of
 from ..output.reports import FrameReport
 from ..stopwatch import Stopwatch
@@ -104,14 +105,22 @@ class FrameReporter:
         ]
         if not compared:
             return None
-        return mean_psnr(self._context.kernel, encoded.scene.splats, *map(list, zip(*compared, strict=True)))
+        views, pictures = map(list, zip(*compared, strict=True))
+        colours = [encoded.scene.header.colours_of(view.camera.name) for view in views]
+        own = [
+            picture if its is None else remove_colours(picture, its, view.pinhole)
+            for view, picture, its in zip(views, pictures, colours, strict=True)
+        ]
+        return mean_psnr(self._context.kernel, encoded.scene.splats, views, own)
 
     def _own_size_psnr(self, encoded: Encoded) -> float | None:
         """PSNR of the decoded views of held-out cameras with a picture, at their own size; None without a scale."""
         frame, scene, threads = encoded.pictures, encoded.scene, self._context.threads
         names = [view.camera.name for view in self._context.ingest.held_out_views] if frame.own_size else []
         values = [
-            psnr_of(square_error(render_view(scene.header, scene.splats, name, threads=threads).image, own))
+            psnr_of(
+                square_error(render_view(scene.header, scene.splats, name, threads=threads, corrections={}).image, own)
+            )
             for name, own in zip(names, map(display_referred, frame.own_size), strict=True)
             if name not in frame.lost
         ]

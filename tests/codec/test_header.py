@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from decogs.codec.header.header import StreamHeader
 from decogs.codec.header.presentation import Presentation
+from decogs.codec.packets.corrections import Correction
 from decogs.codec.scene.lattice import Lattice
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError
@@ -53,6 +54,21 @@ def test_every_field_comes_back() -> None:
         assert np.array_equal(mine.world_to_camera, theirs.world_to_camera)
         assert {**vars(mine), "world_to_camera": None} == {**vars(theirs), "world_to_camera": None}
     assert back.to_bytes() == payload
+
+
+@pytest.mark.parametrize(
+    ("falloffs", "expected"),
+    [([], 0), ([900], 900), ([900, 0], 0), ([400, 900, 0], 400), ([0, 0, 900], 0), ([300, 700, 500, 900], 500)],
+)
+def test_a_held_out_camera_darkens_its_border_as_the_middle_one_of_the_others(
+    falloffs: list[int], expected: int
+) -> None:
+    names = [f"trained{number}" for number in range(len(falloffs))]
+    cameras = tuple(replace(FULL.cameras[0], name=name) for name in ("held out", *names))
+    colours = {name: Correction(exposure=70, falloff=each) for name, each in zip(names, falloffs, strict=True) if each}
+    header = replace(FULL, cameras=cameras, held_out=("held out",), camera_colours=colours)
+    assert header.colours_of("held out") == (Correction(falloff=expected) if expected else None)
+    assert all(header.colours_of(name) == colours.get(name) for name in names)
 
 
 def test_numpy_numbers_from_a_rig_can_be_written() -> None:

@@ -147,13 +147,15 @@ def write_scene_before(path: Path, depth: float) -> None:
 
 
 def recording_cameras() -> tuple[Camera, ...]:
-    """One of each: a barrel lens with tangential terms, a strong fisheye, one that folds inside its picture, none."""
+    """One of each: a barrel lens with tangential terms, a strong fisheye, one that folds inside its picture, none, and
+    one left out."""
     straight, aside, turned = cameras()
     return (
         replace(straight, name="barrel", distortion_model="opencv", distortion=(-0.22, 0.05, 0.003, -0.002)),
         replace(aside, name="fisheye", distortion_model="fisheye", distortion=(0.08, -0.03, 0.01, 0.0)),
         replace(turned, name="folds", distortion_model="opencv", distortion=(-0.9, 0.0, 0.0, 0.0)),
         replace(straight, name="drifts"),
+        replace(aside, name="left out"),
     )
 
 
@@ -169,6 +171,7 @@ def write_recording_stream(path: Path, *, subject: bool = False) -> None:
         fps=30.0,
         background=(0.2, 0.3, 0.5),
         effects=("lens_distortion", "colour_mismatch", "lens_falloff", *corrected.effects),
+        held_out=("left out",),
         corrected=corrected,
         camera_colours={
             "fisheye": Correction(exposure=-600, red=300, blue=-500, falloff=2500),
@@ -227,7 +230,7 @@ def recording(rig: Path) -> list[str]:
         return [
             camera.name
             for camera in header.cameras
-            if is_distorted(camera) or camera.name in header.camera_colours or header.corrected.of(camera.name)
+            if is_distorted(camera) or header.colours_of(camera.name) or header.corrected.of(camera.name)
         ]
 
 
@@ -255,7 +258,7 @@ def main() -> None:
         pictures.take(f"degree{degree}", 2, None)
     for name in ("recorded", "recorded_subject"):
         write_recording_stream(folder / f"{name}.dgs", subject=name.endswith("subject"))
-        for camera in ("barrel", "fisheye", "folds", "drifts"):
+        for camera in ("barrel", "fisheye", "folds", "drifts", "left out"):
             for frame in (0, 1):
                 pictures.take(name, frame, camera, recorded=True)
         pictures.take(name, 1, "barrel")

@@ -56,7 +56,14 @@ export function readHeader(payload: Uint8Array): StreamHeader {
   for (const effect of effects) {
     if (!EFFECTS.has(effect)) refuse("unsupported-effect", `the stream needs an effect unknown here: ${effect}`);
   }
-  return header;
+  return { ...header, cameras: withExpectedFalloff(header) };
+}
+
+/** Held-out cameras with the fall-off of the middle one of the others (SPEC section 6, "Corrections"). */
+function withExpectedFalloff({ cameras, heldOut }: StreamHeader): RigCamera[] {
+  const others = cameras.filter(({ name }) => !heldOut.includes(name)).map((camera) => camera.falloff);
+  const middle = others.sort((a, b) => a - b)[Math.floor((others.length - 1) / 2)] ?? 0;
+  return cameras.map((camera) => (heldOut.includes(camera.name) ? { ...camera, falloff: middle } : camera));
 }
 
 /** Whether the member is there; it can only be true. */
