@@ -87,7 +87,7 @@ FIGURES = {
     "read_ms": Figure("CPU-ms to read a frame", "{:.0f}".format),
     "gaussians": Figure("Gaussians", lambda count: f"{count:,.0f}".replace(",", " ")),
     "decode_fps": Figure("decoded frames a second", "{:.0f}".format),
-    "selected": Figure("selected", "{:.1%}".format),
+    "selected": Figure("% selected", lambda share: f"{100 * share:.1f}"),
     "bd_rate": Figure("whole picture", "{:+.0f} %".format),
     "bd_rate_dynamic": Figure("where things move", "{:+.0f} %".format),
     "bd_rate_later": Figure("whole picture, later frames", "{:+.0f} %".format),
