@@ -2,7 +2,7 @@
 
     .venv/bin/python report/make.py DATA [RUNS ...] [--jobs 2]
 
-DATA holds the folders ``rigs``, ``real`` and ``real_static``; RUNS choose among those below. Each rig of each of them
+DATA holds the folders ``rigs`` and ``real``; RUNS choose among those below. Each rig of each of them
 is a process with one thread: two side by side do not count each other's work.
 """
 
@@ -43,8 +43,6 @@ OTHERS = (
     Rig("real/mouse_cage_8cam", ("cam02", "cam05")),
     Rig("real/desk_charuco_4cam", ("cam01",)),
     Rig("real/balance_4cam", ("cam00",)),
-    Rig("real_static/assembly_table_8cam", ("cam03",)),
-    Rig("real_static/n3dv_flame_steak_frame0", ("cam00", "cam10")),
 )
 FIVE = (WORKBENCH, POPUP, CANDLE, STAGE, DOME)
 ALL = (WORKBENCH, POPUP, CANDLE, STILL, DIM, DRIFT, STAGE, GREEN, DOME, *OTHERS)
