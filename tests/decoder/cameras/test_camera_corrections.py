@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.corrections import ANGLE_STEP, Correction, turn
+from decogs.codec.scene.lattice import default_lattice
 from decogs.decoder.cameras.corrections import apply_gain, as_it_stood
+from decogs.decoder.rendering.views import correction_of
 from decogs.formats.cameras import Camera, camera_centre
 
 POSE = np.eye(4)
@@ -49,3 +54,12 @@ def test_a_turned_camera_sees_directions_through_its_rotation() -> None:
 
 def test_a_camera_that_was_not_turned_is_itself() -> None:
     assert as_it_stood(CAMERA, Correction(exposure=5, red=3)) is CAMERA
+
+
+def test_a_held_out_camera_is_shown_with_the_others_fall_off() -> None:
+    cameras = tuple(replace(CAMERA, name=name) for name in ("a", "b", "left out"))
+    colours = {"a": Correction(exposure=40, falloff=900), "b": Correction(falloff=1200)}
+    header = StreamHeader(cameras, default_lattice(1.0), held_out=("left out",), camera_colours=colours)
+    assert correction_of(header, "left out", {}) == Correction(falloff=900)
+    assert correction_of(header, "left out", None) is None, "drift-free"
+    assert correction_of(header, "a", {}) == colours["a"]
