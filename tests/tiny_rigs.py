@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,9 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.codec.header.header import StreamHeader
 from decogs.codec.packets.corrections import Correction
+from decogs.codec.scene.lattice import default_lattice
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera
@@ -54,15 +56,6 @@ def scene_at(frame: int) -> Splats:
     return join_splats(scene, patch((-0.35, -0.2, -0.2), 2, 2, 0.06, 3)) if frame == 3 else scene
 
 
-@dataclass(frozen=True)
-class _Lookup:
-    cameras: tuple[Camera, ...]
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    subject: bool = False
-    camera_colours: Mapping[str, Correction] = field(default_factory=dict)
-    subject: bool = False
-
-
 class TinyRig:
     """Writes variants of the rig; test modules are imported on their own and cannot import this file."""
 
@@ -94,7 +87,9 @@ class TinyRig:
             (folder / view.name).mkdir(parents=True)
             for index, moment in enumerate(frames):
                 told = None if faults is None else {view.name: faults(view.name, index)}
-                seen = render_view(_Lookup((view,)), scene_at(moment), view.name, corrections=told)  # type: ignore[arg-type]
+                seen = render_view(
+                    StreamHeader((view,), default_lattice(1.0)), scene_at(moment), view.name, corrections=told
+                )
                 clean = to_8bit(seen.image)
                 noisy = np.clip(np.rint(clean + random.normal(0, noise, clean.shape)), 0, 255).astype(np.uint8)
                 TinyRig.write_png(folder / view.name / f"{index:04d}.png", noisy)

@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import default_lattice
 from decogs.decoder.cameras.lens import undistort_pixels
 from decogs.decoder.reading.stream import open_stream
 from decogs.decoder.rendering.views import render_view
@@ -194,7 +196,5 @@ def test_nothing_is_guessed_at_a_border_before_what_others_see(tiny_rig: Any) ->
     assert beside([strip * recorded, wall]).min() > 0.79 * 4
 
 
-def _header(camera: Camera) -> Any:
-    from tiny_rigs import _Lookup
-
-    return _Lookup((camera,))
+def _header(camera: Camera) -> StreamHeader:
+    return StreamHeader((camera,), default_lattice(1.0))
