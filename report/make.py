@@ -2,8 +2,8 @@
 
     .venv/bin/python report/make.py DATA [RUNS ...] [--jobs 2]
 
-DATA holds the folders ``rigs`` and ``real``; RUNS choose among those below. Each rig of each of them
-is a process with one thread: two side by side do not count each other's work.
+DATA holds the folders ``rigs`` and ``real``; RUNS choose among those below. Each rig of each of them is a process with
+one thread: two side by side do not count each other's work.
 """
 
 from __future__ import annotations

@@ -120,8 +120,9 @@ class StreamHeader:
         """
         if name not in self.held_out:
             return self.camera_colours.get(name)
+        none = Correction()
         others = [camera.name for camera in self.cameras if camera.name not in self.held_out]
-        falloffs = sorted(self.camera_colours[name].falloff if name in self.camera_colours else 0 for name in others)
+        falloffs = sorted(self.camera_colours.get(other, none).falloff for other in others)
         middle = falloffs[(len(falloffs) - 1) // 2] if falloffs else 0
         return Correction(falloff=middle) if middle else None
 

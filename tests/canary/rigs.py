@@ -13,6 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from decogs.codec.header.header import StreamHeader
+from decogs.codec.scene.lattice import default_lattice
 from decogs.decoder.output.pictures import to_8bit
 from decogs.decoder.rendering.views import render_view
 from decogs.formats.cameras import Camera
@@ -155,13 +157,6 @@ RIGS: dict[str, CanaryRig] = {
 }
 
 
-@dataclass(frozen=True)
-class _Lookup:
-    cameras: tuple[Camera, ...]
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    subject: bool = False
-
-
 def write_rig(name: str, folder: Path) -> Path:
     """rig.json and a folder of PNG per camera; the same pixels every time."""
     rig, random = RIGS[name], np.random.default_rng(7)
@@ -170,7 +165,7 @@ def write_rig(name: str, folder: Path) -> Path:
     for frame in range(FRAMES):
         scene = rig.scene(frame)
         for view in rig.cameras:
-            clean = to_8bit(render_view(_Lookup((view,)), scene, view.name).image)  # type: ignore[arg-type]
+            clean = to_8bit(render_view(StreamHeader((view,), default_lattice(1.0)), scene, view.name).image)
             noisy = np.clip(np.rint(clean + random.normal(0, _NOISE, clean.shape)), 0, 255).astype(np.uint8)
             assert cv2.imwrite(str(folder / view.name / f"{frame:04d}.png"), noisy[..., ::-1])
     (folder / "rig.json").write_text(json.dumps(rig_document(rig.cameras)))
