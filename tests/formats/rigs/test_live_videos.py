@@ -144,7 +144,7 @@ def test_a_video_is_read_while_it_is_written(tmp_path: Path, suffix: str) -> Non
     """Every picture as the finished video has it, up to the last one, which a decoder may hold back."""
     container, options = CONTAINERS[suffix]
     names = {name: f"{name}.{suffix}" for name in ("cam00", "cam01")}
-    sources = write_sources(tmp_path, names, end=0.7)
+    sources = write_sources(tmp_path, names, end=1.5)
     with growing({tmp_path / file: Recorded(container, 12, **options) for file in names.values()}):
         seen = [pictures for _, pictures in read_frames(open_live(sources))]
     whole = list(open_video(tmp_path / f"cam00.{suffix}").read(0, 12))
@@ -156,7 +156,7 @@ def test_a_video_is_read_while_it_is_written(tmp_path: Path, suffix: str) -> Non
 def test_who_gets_to_the_end_later_gets_the_last_pictures_too(tmp_path: Path) -> None:
     """MPEG-TS holds back the last two until the file is over, which one camera learns before the other."""
     names = {name: f"{name}.ts" for name in ("cam00", "cam01")}
-    rig = open_live(write_sources(tmp_path, names, end=0.4, late=0.8))
+    rig = open_live(write_sources(tmp_path, names, end=1.5, late=2))
     recorded = Recorded("mpegts", 12)
     for file in names.values():
         (tmp_path / file).write_bytes(recorded.data)
@@ -179,14 +179,14 @@ def ended(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
 def test_what_the_decoder_holds_back_is_given_out_at_the_end(tmp_path: Path) -> None:
     """Pictures that others are predicted from come before these: x264's own ways, with B frames."""
     names = {name: f"{name}.mkv" for name in ("cam00", "cam01")}
-    sources = write_sources(tmp_path, names, end=0.4)
+    sources = write_sources(tmp_path, names, end=1.5)
     for file in names.values():
         (tmp_path / file).write_bytes(Recorded("matroska", 12, tune="animation").data)
     assert read(sources).moments == [[moment] * 2 for moment in range(12)]
 
 
 def test_a_video_beside_a_folder(tmp_path: Path) -> None:
-    sources = write_sources(tmp_path, {"cam00": "cam00.mkv", "cam01": "shots/{:03d}.png"}, end=0.7, late=1)
+    sources = write_sources(tmp_path, {"cam00": "cam00.mkv", "cam01": "shots/{:03d}.png"}, end=1.5, late=1.5)
     (tmp_path / "shots").mkdir()
     for moment in range(10):
         cv2.imwrite(str(tmp_path / "shots" / f"{moment:03d}.png"), picture(moment))
@@ -198,7 +198,7 @@ def test_a_video_beside_a_folder(tmp_path: Path) -> None:
 
 def test_what_a_growing_video_lacks_and_a_camera_that_stops(tmp_path: Path) -> None:
     names = {name: f"{name}.mp4" for name in ("cam00", "cam01")}
-    sources = write_sources(tmp_path, names, end=1, late=0.5)
+    sources = write_sources(tmp_path, names, end=2, late=1)
     whole = Recorded("mp4", 20, **FRAGMENTED)
     lacking = Recorded("mp4", 15, lacks=(7,), **FRAGMENTED)
     with growing({tmp_path / "cam00.mp4": whole, tmp_path / "cam01.mp4": lacking}):
@@ -210,7 +210,7 @@ def test_what_a_growing_video_lacks_and_a_camera_that_stops(tmp_path: Path) -> N
 
 def test_a_damaged_packet_costs_the_frames_up_to_a_keyframe(tmp_path: Path) -> None:
     names = {name: f"{name}.mp4" for name in ("cam00", "cam01")}
-    sources = write_sources(tmp_path, names, end=0.5, late=0.3)
+    sources = write_sources(tmp_path, names, end=2)
     for name in names:
         video = Recorded("mp4", 20, **FRAGMENTED)
         if name == "cam01":
@@ -265,7 +265,7 @@ def test_frame_0_is_where_the_last_camera_begins() -> None:
 
 
 def test_every_second_frame(tmp_path: Path) -> None:
-    sources = write_sources(tmp_path, {"cam00": "cam00.mp4"}, end=0.7)
+    sources = write_sources(tmp_path, {"cam00": "cam00.mp4"}, end=1.5)
     with growing({tmp_path / "cam00.mp4": Recorded("mp4", 11, **FRAGMENTED)}):
         rig = open_live(sources, seconds_per_frame=1.9 / FPS)
         seen = [moment_of(pictures[0]) for _, pictures in read_frames(rig)]
