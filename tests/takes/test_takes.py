@@ -21,7 +21,7 @@ from decogs.takes.records import FILE, Records
 from decogs.takes.steps import STAGING
 from decogs.takes.take_file import read_take
 
-RIG = Path(__file__).parents[1] / "demo" / "workbench"
+VIDEOS = Path(__file__).parents[1] / "demo" / "workbench"
 TAKE = """\
 rig = "rig"
 title = "Take 3"
@@ -29,7 +29,7 @@ title = "Take 3"
 [encode]
 preset = "live"
 frames = ":2"
-scale = 0.2
+scale = 0.8
 threads = 1
 
 [edit]
@@ -58,17 +58,17 @@ scale = 0.5
 STEPS = ["encode", "edit", "page", "fence", "report", "poster", "turn", "frames"]
 
 
-def new_folder(folder: Path) -> Path:
+def new_folder(folder: Path, rig: Path) -> Path:
     """A folder with a take, whose rig is linked."""
     folder.mkdir()
-    (folder / "rig").symlink_to(RIG)
+    (folder / "rig").symlink_to(rig)
     (folder / "take.toml").write_text(TAKE)
     return folder / "take.toml"
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    take = new_folder(tmp_path_factory.mktemp("takes") / "day")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, moving_rig: Path) -> Path:
+    take = new_folder(tmp_path_factory.mktemp("takes") / "day", moving_rig)
     assert make_main([str(take)]) == 0
     return take
 
@@ -147,11 +147,11 @@ def test_what_comes_out_with_the_same_bytes_makes_nothing_else_anew(made: Path, 
     assert (code, [name for name in STEPS if states[name] == "made"]) == (0, ["encode"])
 
 
-def test_other_footage_is_encoded_anew(made: Path, making) -> None:
+def test_other_footage_is_encoded_anew(made: Path, making, moving_rig: Path) -> None:
     (made.parent / "rig").unlink()
-    shutil.copytree(RIG, made.parent / "rig")
+    shutil.copytree(moving_rig, made.parent / "rig")
     assert making(made, "--dry-run")[1]["encode"] == "up to date"  # the same in another place
-    shutil.copy(RIG / "cam01.mp4", made.parent / "rig" / "cam00.mp4")
+    shutil.copytree(moving_rig / "cam01", made.parent / "rig" / "cam00", dirs_exist_ok=True)
     assert set(making(made, "--dry-run")[1].values()) == {"due"}
 
 
@@ -205,7 +205,7 @@ def test_what_fails_leaves_the_others(made: Path, making) -> None:
     assert code == 2
     assert states["turn"] == "failed"
     assert states["frames"] == "made"
-    made.write_text(TAKE.replace('frames = ":2"', 'frames = "7:9"').replace("0.2\n", "0.21\n"))
+    made.write_text(TAKE.replace('frames = ":2"', 'frames = "1:3"').replace("0.8\n", "0.81\n"))
     (made.parent / "take" / "encoded.dgs").write_bytes(b"")
     code, states = making(made)
     assert states["encode"] == "failed"
@@ -213,9 +213,9 @@ def test_what_fails_leaves_the_others(made: Path, making) -> None:
 
 
 @pytest.mark.slow
-def test_killed_at_any_place_it_makes_the_same(undisturbed: Path, tmp_path: Path) -> None:
+def test_killed_at_any_place_it_makes_the_same(undisturbed: Path, tmp_path: Path, moving_rig: Path) -> None:
     """SIGKILL in each step, one after the other; the command that ran ends, too."""
-    take = new_folder(tmp_path / "day")
+    take = new_folder(tmp_path / "day", moving_rig)
     program = "import sys; from decogs.takes.commands import make_main; sys.exit(make_main(sys.argv[1:]))"
     command = [sys.executable, "-c", program, str(take)]
     for step in ["encode", "edit", "fence", "page", "report", "poster"]:  # as they are made: the page has the fence
@@ -291,8 +291,8 @@ def test_cameras_are_placed_and_put_in_step_before(tmp_path: Path) -> None:
     ]
 
 
-def test_steps_are_told_of_threads_where_the_take_does_not_say(tmp_path: Path) -> None:
-    take = read_take(new_folder(tmp_path / "day"))
+def test_steps_are_told_of_threads_where_the_take_does_not_say(tmp_path: Path, moving_rig: Path) -> None:
+    take = read_take(new_folder(tmp_path / "day", moving_rig))
     told = {step.name: Making(take, print, threads=2)._told_threads(step) for step in take.steps}
     of_two = ["--threads=2"]
     assert told == {**dict.fromkeys(STEPS, of_two), "encode": [], "page": []}
@@ -308,11 +308,11 @@ def test_takes_do_not_share_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_a_first_file_is_written_from_the_analysis(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     take = tmp_path / "take.toml"
-    assert make_main([str(take), "--new", str(RIG), "-q"]) == 0
+    assert make_main([str(take), "--new", str(VIDEOS), "-q"]) == 0
     text = take.read_text()
     assert "# cam00" in text
     assert [step.name for step in read_take(take).steps] == ["encode", "page", "poster", "video", "usd"]
-    assert make_main([str(take), "--new", str(RIG), "-q"]) == 2
+    assert make_main([str(take), "--new", str(VIDEOS), "-q"]) == 2
     assert "is there already" in capsys.readouterr().err
     assert take.read_text() == text
 
@@ -321,7 +321,7 @@ def test_a_first_file_of_bare_videos_places_the_cameras(tmp_path: Path) -> None:
     videos = tmp_path / "videos"
     videos.mkdir()
     for camera in ("cam00", "cam01"):
-        (videos / f"{camera}.mp4").symlink_to(RIG / f"{camera}.mp4")
+        (videos / f"{camera}.mp4").symlink_to(VIDEOS / f"{camera}.mp4")
     assert make_main([str(tmp_path / "take.toml"), "--new", str(videos), "-q"]) == 0
     assert [step.name for step in read_take(tmp_path / "take.toml").steps][:2] == ["calibrate", "encode"]
     shutil.rmtree(videos)

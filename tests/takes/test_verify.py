@@ -16,17 +16,24 @@ from decogs.formats.stream.container import FRAME_KINDS, LAYERED_VERSION, Packet
 from decogs.takes.commands import verify_main
 from edited_streams import header_of
 from packets import iterate_packets
+from tiny_rigs import TinyRig
 
-RIG = Path(__file__).parents[1] / "demo" / "workbench"
-OPTIONS = ["--preset", "live", "--scale", "0.2", "--frames", "1:7", "--threads", "1", "-q"]
+OPTIONS = ["--preset", "live", "--frames", "1:7", "--threads", "1", "-q"]
 CLOSED = [*OPTIONS, "--segment", "2", "--closed"]
 
 
+@pytest.fixture(scope="module")
+def rig(tiny_rig: type[TinyRig], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_rig.write(tmp_path_factory.mktemp("verify") / "rig", frames=(3, 0, 1, 2, 3, 1, 0))
+
+
 @pytest.fixture(scope="module", params=["open", pytest.param("closed", marks=pytest.mark.slow)])
-def encoded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+def encoded(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, rig: Path
+) -> tuple[Path, list[str]]:
     options = OPTIONS if request.param == "open" else CLOSED
     path = tmp_path_factory.mktemp("verify") / "scene.dgs"
-    assert encode_main([str(RIG), "-o", str(path), "--log", str(path.with_suffix(".log")), *options]) == 0
+    assert encode_main([str(rig), "-o", str(path), "--log", str(path.with_suffix(".log")), *options]) == 0
     return path, options
 
 
@@ -45,36 +52,38 @@ def changed_in(stream: Path, output: Path, frame: int) -> Path:
     return output
 
 
-def test_a_stream_is_what_it_was_made_of(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stream_is_what_it_was_made_of(
+    encoded, rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Every closed segment, and a packet that is another in any of them; of others the first frames."""
     stream, options = encoded
     for frame in (0, 2, 5) if options is CLOSED else (0,):
         asked = ["--frame", str(frame), "-q"]
-        assert verify_main([*asked, str(stream), str(RIG), *options]) == 0
+        assert verify_main([*asked, str(stream), str(rig), *options]) == 0
         assert "are the same bytes, encoded again" in capsys.readouterr().out
     hit = 5 if options is CLOSED else 2
     other = changed_in(stream, tmp_path / "other.dgs", hit)
-    assert verify_main(["--frame", str(hit), "-q", str(other), str(RIG), *options]) == 1
+    assert verify_main(["--frame", str(hit), "-q", str(other), str(rig), *options]) == 1
     assert f"frame {hit} is another: " in capsys.readouterr().out
     if options is CLOSED:
-        assert verify_main(["--frame", "1", "-q", str(other), str(RIG), *options]) == 0
-        assert verify_main(["--frame", "6", "-q", str(other), str(RIG), *options]) == 2
+        assert verify_main(["--frame", "1", "-q", str(other), str(rig), *options]) == 0
+        assert verify_main(["--frame", "6", "-q", str(other), str(rig), *options]) == 2
 
 
 @pytest.mark.parametrize("encoded", ["open"], indirect=True)
-def test_what_is_another_is_said(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_another_is_said(encoded, rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stream, options = encoded
-    rig = shutil.copytree(RIG, tmp_path / "rig")
-    shutil.copy(RIG / "cam05.mp4", rig / "cam06.mp4")
-    assert verify_main(["-q", str(stream), str(rig), *options]) == 1
-    assert "camera cam06 recorded another first picture\n" in capsys.readouterr().out
+    other = shutil.copytree(rig, tmp_path / "rig")
+    shutil.copytree(rig / "cam03", other / "cam04", dirs_exist_ok=True)
+    assert verify_main(["-q", str(stream), str(other), *options]) == 1
+    assert "camera cam04 recorded another first picture\n" in capsys.readouterr().out
     log = stream.with_suffix(".log")
-    assert verify_main(["-q", "--log", str(log), str(stream), str(rig), *options]) == 1
-    assert "camera cam06 recorded other pictures of frames 1 to 2\n" in capsys.readouterr().out
-    assert verify_main(["-q", "--log", str(log), str(stream), str(RIG), *options]) == 0
-    assert verify_main(["-q", "--log", str(stream), str(stream), str(RIG), *options]) == 2
+    assert verify_main(["-q", "--log", str(log), str(stream), str(other), *options]) == 1
+    assert "camera cam04 recorded other pictures of frames 1 to 2\n" in capsys.readouterr().out
+    assert verify_main(["-q", "--log", str(log), str(stream), str(rig), *options]) == 0
+    assert verify_main(["-q", "--log", str(stream), str(stream), str(rig), *options]) == 2
     assert "is no log of decogs-encode --log" in capsys.readouterr().err
-    assert verify_main(["-q", str(stream), str(RIG), *options, "--seed", "3"]) == 1
+    assert verify_main(["-q", str(stream), str(rig), *options, "--seed", "3"]) == 1
     said = capsys.readouterr().out
     assert "was begun with seed 0, this encode has 3" in said
     assert "frame 0 is another" in said
@@ -82,21 +91,23 @@ def test_what_is_another_is_said(encoded, tmp_path: Path, capsys: pytest.Capture
 
 @pytest.mark.slow
 def test_an_edited_stream_is_verified_where_its_scenes_stayed(
-    encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    encoded, rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stream, options = encoded
     out = tmp_path / "edited.dgs"
     edit(stream, out, [Set(title="x"), MakeLayers()])
     for frame in (0, 5) if options is CLOSED else (0,):
-        assert verify_main(["--frame", str(frame), "-q", str(out), str(RIG), *options]) == 0
+        assert verify_main(["--frame", str(frame), "-q", str(out), str(rig), *options]) == 0
     edit(stream, out, [Grade(exposure=1.0)])
-    assert verify_main(["-q", str(out), str(RIG), *options]) == 2
+    assert verify_main(["-q", str(out), str(rig), *options]) == 2
     assert "was edited since it was encoded" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("encoded", ["open"], indirect=True)
 @pytest.mark.slow
-def test_layers_of_another_scene_are_found(encoded, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_layers_of_another_scene_are_found(
+    encoded, rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     edit(encoded[0], tmp_path / "graded.dgs", [Grade(exposure=0.5), MakeLayers()])
     settings = header_of(encoded[0]).settings
     other = tmp_path / "other.dgs"
@@ -109,5 +120,5 @@ def test_layers_of_another_scene_are_found(encoded, tmp_path: Path, capsys: pyte
             if packet.kind in (*FRAME_KINDS, PacketKind.REFINE):
                 writer.write(packet.kind, packet.frame, packet.payload)
         writer.finish()
-    assert verify_main(["-q", str(other), str(RIG), *encoded[1]]) == 1
+    assert verify_main(["-q", str(other), str(rig), *encoded[1]]) == 1
     assert "frame 0 is another: a scene in the stream, a scene encoded again" in capsys.readouterr().out
