@@ -151,6 +151,7 @@ def test_a_recorded_view_shows_the_bands_and_a_free_one_none(steady_and_flickeri
             assert kept < 0.8 * free
 
 
+@pytest.mark.slow
 def test_an_encode_of_lamps_goes_on_where_it_was_broken_off(
     steady_and_flickering: dict[str, Path], tmp_path: Path
 ) -> None:
