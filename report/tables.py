@@ -315,8 +315,11 @@ def keep(full: Path) -> None:
                 if source in table.sources:
                     keep_rows(rig, cited, table)
             target = KEPT / f"{source}.json"
+            made = facts(report, path.parent)
+            if target.exists() and (before := kept(KEPT, source)["made"])["code"] == made["code"]:
+                made["commit"] = before["commit"]  # commits since then changed no code that a run depends on
             target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_text(json.dumps({"made": facts(report, path.parent), "rig": cited}, indent=1) + "\n", "utf-8")
+            target.write_text(json.dumps({"made": made, "rig": cited}, indent=1) + "\n", "utf-8")
 
 
 def keep_rows(rig: dict[str, Any], kept: dict[str, Any], table: Table) -> None:
