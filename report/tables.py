@@ -27,6 +27,8 @@ made
 A figure within a sentence stands between comments, too; the second row is taken off the first:
 
     <!--= paper/workbench psnr_dynamic components/select - components/no-parts -->+0.07<!--/-->
+
+A picture that a page shows as pictures/RUNS/RIG/NAME is that of this report.
 """
 
 from __future__ import annotations
@@ -50,6 +52,7 @@ TABLE = re.compile(
 )
 
 INLINE = re.compile(r"(<!--= (\S+) (\S+) (\S+?)(?: - (\S+))? -->)[^<]*(<!--/-->)")
+PICTURE = re.compile(r"\]\(pictures/([^/)]+)/([^/)]+)/([^/)]+)\)")
 
 
 @dataclass(frozen=True)
@@ -372,6 +375,12 @@ def facts(report: dict[str, Any], folder: Path) -> dict[str, Any]:
     }
 
 
+def pictures(page: str, full: Path) -> Iterator[tuple[Path, Path]]:
+    """Where each picture that the page shows was made, and where it lies here."""
+    for runs, rig, name in PICTURE.findall(page):
+        yield full / runs / rig / "pictures" / name, HERE / "pictures" / runs / rig / name
+
+
 def main(full: Path) -> None:
     """Keeps what pages cite, makes their tables, and copies pictures that they show, as far as ``full`` has them."""
     keep(full)
@@ -381,9 +390,10 @@ def main(full: Path) -> None:
         if after != before:
             page.write_text(after, "utf-8")
             print(f"{page.name}: tables made anew")
-        for picture in re.findall(r"\]\((pictures/[^)]+)\)", after):
-            if (full / picture).exists():
-                shutil.copyfile(full / picture, HERE / picture)
+        for made, shown in pictures(after, full):
+            if made.exists():
+                shown.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(made, shown)
 
 
 if __name__ == "__main__":

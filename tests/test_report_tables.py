@@ -144,6 +144,14 @@ def test_what_is_kept_is_what_pages_cite(script: dict[str, Any]) -> None:
     }
 
 
+def test_a_picture_is_that_of_the_report_it_names(script: dict[str, Any], full: Path) -> None:
+    page = "![a](pictures/some/a/a-rates.png) ![b](pictures/old.png) [c](pictures/some/a/c)"
+    ((made, shown), (other, _)) = script["pictures"](page, full)
+    assert made == full / "some" / "a" / "pictures" / "a-rates.png"
+    assert shown == ROOT / "report" / "pictures" / "some" / "a" / "a-rates.png"
+    assert other.name == "c"
+
+
 def test_every_table_says_what_its_runs_say(script: dict[str, Any]) -> None:
     for page in script["pages"]():
         text = page.read_text("utf-8")
