@@ -2,11 +2,13 @@
 
 Each view's flow leads from its rendering of the scene before to its new picture. A Gaussian's displacement is the one
 whose projections fit the flow wherever the views see it: robust least squares, and then the median over neighbours,
-which what no two views tell takes from others.
+which what no two views tell takes from others. Where a picture did not change, its flow is none: the flow's patches
+carry what moves onto what is still beside it.
 
 Chosen: flow from the rendering, so that errors do not add up and nothing is remembered. Rejected: the neighbourhood's
 last displacement, which knows nothing of what starts, turns or speeds up; flow from the picture before, a second round
-from where the first one leads, Gaussians turned as their neighbourhoods turn (no gain, all three).
+from where the first one leads, Gaussians turned as their neighbourhoods turn (no gain, all three); staying wherever
+that explains the new picture better than the flow does (loses where things of one colour move).
 """
 
 from __future__ import annotations
@@ -84,9 +86,11 @@ def _flow_of(training: FrameTraining, index: int, means: FloatArray, sigmas: Flo
     rows = np.flatnonzero(in_picture(camera, u, v, depth))
     at = v[rows].astype(np.int64), u[rows].astype(np.int64)
     surface = view.depth[at] / np.maximum(view.alpha[at], 1e-3)
-    rows = rows[focus[at] & (depth[rows] - sigmas[rows] <= (1 + _SURFACE_DEPTHS) * surface)]
+    is_seen = focus[at] & (depth[rows] - sigmas[rows] <= (1 + _SURFACE_DEPTHS) * surface)
+    rows, is_still = rows[is_seen], ~training.frame.masks[index].raw[at][is_seen]
     told, is_sure = _flow_at(view.rgb, training.frame.pictures[index], focus, u[rows], v[rows])
-    rows, told = rows[is_sure], told[is_sure]
+    told[is_still] = 0
+    rows, told = rows[is_sure | is_still], told[is_sure | is_still]
     z, slopes = depth[rows], np.zeros((len(rows), 2, 3))
     slopes[:, 0, 0], slopes[:, 0, 2] = camera.fx / z, (camera.cx - u[rows]) / z
     slopes[:, 1, 1], slopes[:, 1, 2] = camera.fy / z, (camera.cy - v[rows]) / z

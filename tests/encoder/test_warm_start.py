@@ -12,6 +12,7 @@ import pytest
 
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training.warm_start import _fitted, _Flow, shared_displacements
+from decogs.formats.cameras import project
 from one_frame import Case, moved_square
 
 UNTRAINED = FrameSettings(joint_iterations=0, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0))
@@ -56,6 +57,24 @@ def test_a_backdrop_stays(case: Case) -> None:
     gone = moved(case, stage=stage)
     assert not gone[is_left].any()
     assert gone[~is_left].any(axis=1).all()
+
+
+def test_what_did_not_change_stays_beside_what_moves(case: Case) -> None:
+    """Pixels of a region of interest that are still have no flow, whatever moves beside them."""
+    masks, changed = case.masks(everywhere=True), []
+    for number, view in enumerate(case.ingest.views):
+        columns = project(view.pinhole, case.scene.means[case.selected])[0].astype(int)
+        middle = int(np.median(columns))
+        raw = masks[number].dilated & (np.arange(case.pictures[number].shape[2]) < middle)
+        masks[number] = replace(masks[number], raw=raw)
+        changed.append(columns < middle)
+    gone, free = moved(case, masks=masks), moved(case)
+    assert free.any(axis=1).all()
+    still, moves = ~np.any(changed, axis=0), np.all(changed, axis=0)
+    assert still.any()
+    assert moves.any()
+    assert not gone[still].any()
+    assert (gone[moves, 0] > 0.5 * GONE).all()
 
 
 def test_nothing_is_told_outside_of_the_regions_of_interest(case: Case) -> None:
